@@ -1,0 +1,146 @@
+//! The contracts of transport: what a ray engine, a form-factor provider and a source of
+//! random lines promise to those who solve, gather and mesh. All three take batches, so that
+//! one dynamic call does much work.
+
+use luxel_core::{ElementId, Side, Vec3};
+
+/// A ray or segment: points `origin + t direction` for `t_min < t <= t_max`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
+pub struct Ray {
+    /// Start, metres.
+    pub origin: Vec3,
+    /// Smallest parameter that counts.
+    pub t_min: f32,
+    /// Direction, any length but zero. `t` counts in its length.
+    pub direction: Vec3,
+    /// Largest parameter that counts.
+    pub t_max: f32,
+}
+
+/// The nearest crossing of a ray with the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Ray parameter of the crossing; infinite if there is none.
+    pub t: f32,
+    /// Source triangle; [`Hit::NOTHING`] if there is none.
+    pub triangle: u32,
+    /// Barycentric weight of corner 1.
+    pub u: f32,
+    /// Barycentric weight of corner 2.
+    pub v: f32,
+    /// Side that was struck.
+    pub side: Side,
+}
+
+impl Hit {
+    /// `triangle` of a ray that left the scene.
+    pub const NOTHING: u32 = u32::MAX;
+
+    /// The answer for a ray that left the scene.
+    pub const MISS: Hit =
+        Hit { t: f32::INFINITY, triangle: Hit::NOTHING, u: 0.0, v: 0.0, side: Side::Front };
+
+    /// Whether something was struck.
+    #[inline]
+    pub fn is_hit(&self) -> bool {
+        self.triangle != Hit::NOTHING
+    }
+}
+
+/// A ray engine over the source triangles of one scene.
+///
+/// Edge-consistent: a ray cannot slip between two triangles that share an edge. Answers are the
+/// same for any batch size and thread count. Triangles of clear glass are not there; masked
+/// texels are holes.
+pub trait RayCaster: Sync + Send {
+    /// Nearest crossing of each ray. `hits[k]` belongs to `rays[k]`.
+    ///
+    /// A surface with partial coverage stops a ray or lets it through by a hash of the ray, in
+    /// proportion to its coverage.
+    fn closest(&self, rays: &[Ray], hits: &mut [Hit]);
+
+    /// Share of light that passes along each segment: 0 blocked, 1 free, in between through
+    /// partial coverage.
+    fn visibility(&self, segments: &[Ray], visible: &mut [f32]);
+
+    /// How far to move the start of a ray off its surface along the normal, metres, so that
+    /// rounding cannot put it behind: a few units in the last place of the largest coordinate.
+    fn offset_m(&self) -> f32;
+}
+
+/// One row of form factors: where the flux that leaves an element goes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FactorRow {
+    /// Receivers and their share, F_ij > 0, in ascending order of element, each at most once.
+    pub entries: Vec<(ElementId, f64)>,
+    /// Share that leaves the scene.
+    pub outside: f64,
+}
+
+impl FactorRow {
+    /// Sum over all receivers and outside. 1 for exact factors in a scene whose hidden sides
+    /// are all elements; what is missing fell on black sides or is the estimate's defect.
+    pub fn closure(&self) -> f64 {
+        self.entries.iter().map(|e| e.1).sum::<f64>() + self.outside
+    }
+}
+
+/// Form factors between the elements of one front.
+///
+/// `row(i)` is F_ij, the fraction of the flux leaving i that reaches j. Columns follow by
+/// reciprocity, A_i F_ij = A_j F_ji, so gathering and shooting use one estimate.
+pub trait FormFactors: Sync + Send {
+    /// Number of elements.
+    fn len(&self) -> usize;
+
+    /// Whether there is no element.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Replaces `row` by the factors from `element`.
+    fn row(&self, element: ElementId, row: &mut FactorRow);
+}
+
+/// Where a line from an element ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct Arrival(u32);
+
+impl Arrival {
+    /// The line left the scene.
+    pub const OUTSIDE: Arrival = Arrival(u32::MAX);
+    /// The line ended on a side that reflects nothing and is no element.
+    pub const BLACK: Arrival = Arrival(u32::MAX - 1);
+
+    /// The line ended on an element.
+    #[inline]
+    pub fn on(element: ElementId) -> Arrival {
+        debug_assert!(element.0 < Arrival::BLACK.0);
+        Arrival(element.0)
+    }
+
+    /// The element, if it ended on one.
+    #[inline]
+    pub fn element(self) -> Option<ElementId> {
+        if self.0 < Arrival::BLACK.0 { Some(ElementId(self.0)) } else { None }
+    }
+}
+
+/// Local lines: cosine-distributed lines from uniform points of an element, so that the share
+/// of lines from i that arrive on j tends to F_ij [Bekaert99].
+pub trait LocalLines: Sync + Send {
+    /// Number of elements.
+    fn len(&self) -> usize;
+
+    /// Whether there is no element.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Casts lines `samples` of the low-discrepancy sequence that belongs to (`element`,
+    /// `seed`). `arrivals` is replaced, one entry a sample, in order. Any run of a power of two
+    /// samples is well spread.
+    fn cast(&self, element: ElementId, samples: std::ops::Range<u32>, seed: u32, arrivals: &mut Vec<Arrival>);
+}
