@@ -1,0 +1,403 @@
+//! Walks the tree for one ray.
+//!
+//! Boxes: the slab test, eight at a time. Every box is taken as if it were larger by a margin
+//! of a few units in the last place of the largest coordinate, which covers all rounding of the
+//! slab test and of the triangle test; the margin sits in the constants of a ray, so it costs
+//! nothing per node.
+//!
+//! Triangles: the test of Woop, Benthin and Wald. Corners are sheared so that the ray runs along
+//! one axis; the three edge functions are then 2x2 determinants. Two triangles with a common
+//! edge compute it from the same sheared corners, with the opposite sign and the same bits, and
+//! zero counts as inside for both: a ray cannot slip between them. Products are rounded before
+//! they are subtracted (no fused multiply-add), which keeps the sign of each determinant right
+//! or makes it zero.
+//!
+//! Of several crossings at the same distance the triangle with the lowest index counts, so
+//! answers do not depend on the order in which the tree is walked.
+//!
+//! Source: [Woop13]; the bound on the rounding of slabs follows [Ize13].
+
+use crate::build::MOST_WAITING;
+use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, PARTIAL, Tree};
+use crate::contract::{Hit, Ray};
+use crate::lanes::{Lanes, WIDTH};
+use luxel_core::Side;
+
+/// Margin of boxes in units of the largest coordinate: rounding is below six units in the last
+/// place, four of the triangle test and two of the slabs.
+const MARGIN: f32 = 8.0 * f32::EPSILON;
+
+/// Directions along an axis count as at least this share of the largest, so that slabs are
+/// finite. Over the whole scene the ray strays by less than the margin.
+const LEAST_SLOPE: f32 = 1e-12;
+
+/// What one ray needs on its way down, as plain numbers.
+pub(crate) struct Slabs {
+    /// 1 / direction.
+    pub(crate) inverse: [f32; 3],
+    /// To subtract at the plane that the ray meets first.
+    pub(crate) near: [f32; 3],
+    /// To subtract at the other plane.
+    pub(crate) far: [f32; 3],
+    /// 1 where the ray runs towards smaller coordinates.
+    pub(crate) negative: [usize; 3],
+}
+
+/// The shear that turns a ray into the axis `z`.
+#[derive(Clone, Copy)]
+pub(crate) struct Shear {
+    /// Axes, a cyclic order with the largest direction last.
+    pub(crate) axes: [usize; 3],
+    /// Direction over direction along z.
+    pub(crate) slope: [f32; 2],
+    /// 1 / direction along z.
+    pub(crate) inverse_z: f32,
+}
+
+/// Slabs and shear of a ray; `None` if it can meet nothing (a zero or infinite direction, an
+/// origin that is not finite).
+#[inline(always)]
+pub(crate) fn prepare(ray: &Ray, extent: f32) -> Option<(Slabs, Shear)> {
+    let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
+    let length = d.map(f32::abs);
+    let z = if length[0] > length[1] {
+        if length[0] > length[2] { 0 } else { 2 }
+    } else if length[1] > length[2] {
+        1
+    } else {
+        2
+    };
+    let largest = length[z];
+    // Sums are not finite if a term is not.
+    let usable = (o[0] + o[1] + o[2]).is_finite()
+        && (d[0] + d[1] + d[2]).is_finite()
+        && (1.0 / largest).is_finite();
+    if !usable {
+        return None;
+    }
+    let least = largest * LEAST_SLOPE;
+    let reach = o[0].abs().max(o[1].abs()).max(o[2].abs()) + extent;
+    let margin = MARGIN * reach;
+    let mut slabs = Slabs { inverse: [0.0; 3], near: [0.0; 3], far: [0.0; 3], negative: [0; 3] };
+    for axis in 0..3 {
+        let slope = if length[axis] < least { least.copysign(d[axis]) } else { d[axis] };
+        let inverse = 1.0 / slope;
+        let widened = margin * inverse.abs();
+        slabs.inverse[axis] = inverse;
+        slabs.near[axis] = o[axis] * inverse + widened;
+        slabs.far[axis] = o[axis] * inverse - widened;
+        slabs.negative[axis] = usize::from(inverse < 0.0);
+    }
+    let (x, y) = ((z + 1) % 3, (z + 2) % 3);
+    let inverse_z = 1.0 / d[z];
+    let shear = Shear { axes: [x, y, z], slope: [d[x] * inverse_z, d[y] * inverse_z], inverse_z };
+    Some((slabs, shear))
+}
+
+/// A prepared ray in registers.
+pub(crate) struct Beam<L> {
+    inverse: [L; 3],
+    near: [L; 3],
+    far: [L; 3],
+    /// Which of a node's planes the ray meets first on each axis.
+    near_plane: [usize; 3],
+    origin: [L; 3],
+    axes: [usize; 3],
+    slope: [L; 2],
+    inverse_z: L,
+    t_min: L,
+}
+
+impl<L: Lanes> Beam<L> {
+    #[inline(always)]
+    pub(crate) fn new(ray: &Ray, extent: f32) -> Option<Beam<L>> {
+        let (slabs, shear) = prepare(ray, extent)?;
+        let origin = ray.origin.to_array();
+        Some(Beam {
+            inverse: slabs.inverse.map(L::splat),
+            near: slabs.near.map(L::splat),
+            far: slabs.far.map(L::splat),
+            near_plane: std::array::from_fn(|axis| 2 * axis + slabs.negative[axis]),
+            origin: shear.axes.map(|axis| L::splat(origin[axis])),
+            axes: shear.axes,
+            slope: shear.slope.map(L::splat),
+            inverse_z: L::splat(shear.inverse_z),
+            t_min: L::splat(ray.t_min),
+        })
+    }
+
+    /// Which boxes the ray enters before `t_max`, as bits, and where.
+    #[inline(always)]
+    pub(crate) fn boxes(&self, node: &Node, t_max: L) -> (u32, L) {
+        let [nx, ny, nz] = self.near_plane;
+        let plane = |k: usize| L::load(&node.planes[k]);
+        let x0 = plane(nx).mul_sub(self.inverse[0], self.near[0]);
+        let y0 = plane(ny).mul_sub(self.inverse[1], self.near[1]);
+        let z0 = plane(nz).mul_sub(self.inverse[2], self.near[2]);
+        let x1 = plane(nx ^ 1).mul_sub(self.inverse[0], self.far[0]);
+        let y1 = plane(ny ^ 1).mul_sub(self.inverse[1], self.far[1]);
+        let z1 = plane(nz ^ 1).mul_sub(self.inverse[2], self.far[2]);
+        let enter = x0.max(y0).max(z0.max(self.t_min));
+        let leave = x1.min(y1).min(z1.min(t_max));
+        (L::bits(enter.le(leave)), enter)
+    }
+
+    /// Which triangles the ray crosses at `t_min < t <= t_max`.
+    #[inline(always)]
+    pub(crate) fn triangles(&self, leaf: &Leaf, t_max: L) -> Option<Crossing<L>> {
+        let corner = |k: usize| self.axes.map(|axis| L::load(&leaf.corners[k][axis]));
+        crossing(
+            [corner(0), corner(1), corner(2)],
+            self.origin,
+            self.slope,
+            self.inverse_z,
+            self.t_min,
+            t_max,
+        )
+    }
+}
+
+/// Crossings of rays with triangles, lane by lane.
+pub(crate) struct Crossing<L> {
+    /// Lanes that cross within the range; not zero.
+    pub(crate) bits: u32,
+    /// Ray parameter.
+    pub(crate) t: L,
+    /// Edge functions opposite corners 1 and 2, and the sum of all three.
+    v: L,
+    w: L,
+    sum: L,
+}
+
+/// The triangle test [Woop13]: `corners[k]` in the order of the shear's axes. Lanes are
+/// triangles for one ray and rays for one triangle; the arithmetic, so the answer, is the same.
+#[inline(always)]
+pub(crate) fn crossing<L: Lanes>(
+    corners: [[L; 3]; 3],
+    origin: [L; 3],
+    slope: [L; 2],
+    inverse_z: L,
+    t_min: L,
+    t_max: L,
+) -> Option<Crossing<L>> {
+    let [(ax, ay, az), (bx, by, bz), (cx, cy, cz)] = corners.map(|corner| {
+        let z = corner[2] - origin[2];
+        (corner[0] - origin[0] - slope[0] * z, corner[1] - origin[1] - slope[1] * z, z)
+    });
+    let u = cx * by - cy * bx;
+    let v = ax * cy - ay * cx;
+    let w = bx * ay - by * ax;
+    let zero = L::splat(0.0);
+    let inside = zero.le(u.min(v.min(w))) | u.max(v.max(w)).le(zero);
+    if L::bits(inside) == 0 {
+        return None;
+    }
+    let sum = u + v + w;
+    let t = (u * az + v * bz + w * cz) / sum * inverse_z;
+    let bits = L::bits(inside & t_min.lt(t) & t.le(t_max));
+    (bits != 0).then_some(Crossing { bits, t, v, w, sum })
+}
+
+impl<L: Lanes> Crossing<L> {
+    /// Barycentric weights of corners 1 and 2, and the sum whose sign tells the side.
+    #[inline(always)]
+    fn weights(&self) -> ([f32; WIDTH], [f32; WIDTH], [f32; WIDTH]) {
+        ((self.v / self.sum).store(), (self.w / self.sum).store(), self.sum.store())
+    }
+}
+
+/// A subtree that waits, and where the ray enters it.
+#[derive(Clone, Copy)]
+pub(crate) struct Waiting {
+    reference: u32,
+    enter: f32,
+}
+
+/// Room for all that can wait; made once a batch.
+pub(crate) struct Stack([Waiting; MOST_WAITING + WIDTH]);
+
+impl Stack {
+    pub(crate) fn new() -> Stack {
+        Stack([Waiting { reference: 0, enter: 0.0 }; MOST_WAITING + WIDTH])
+    }
+}
+
+/// [`closest`] of each ray.
+#[inline(always)]
+pub(crate) fn closest_batch<L: Lanes>(tree: &Tree, rays: &[Ray], hits: &mut [Hit]) {
+    let mut stack = Stack::new();
+    for (ray, hit) in rays.iter().zip(hits) {
+        *hit = closest::<L>(tree, ray, &mut stack);
+    }
+}
+
+/// Nearest crossing.
+#[inline(always)]
+fn closest<L: Lanes>(tree: &Tree, ray: &Ray, stack: &mut Stack) -> Hit {
+    let Some(beam) = Beam::<L>::new(ray, tree.extent) else { return Hit::MISS };
+    let stack = &mut stack.0;
+    let mut waiting = 0;
+    let mut best = Hit { t: ray.t_max, ..Hit::MISS };
+    let mut t_max = L::splat(ray.t_max);
+    let mut current = tree.root;
+    'walk: loop {
+        'down: while current & CHILD_IS_LEAF == 0 {
+            let node = tree.node(current);
+            let (mut bits, enter) = beam.boxes(node, t_max);
+            if bits == 0 {
+                break 'down;
+            }
+            let first = bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            if bits == 0 {
+                current = node.child[first];
+                continue 'down;
+            }
+            // Nearest first: the others wait, sorted, the farthest deepest.
+            let enter = enter.store();
+            let base = waiting;
+            let mut nearest = Waiting { reference: node.child[first], enter: enter[first] };
+            while bits != 0 {
+                let k = bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                let mut next = Waiting { reference: node.child[k], enter: enter[k] };
+                if next.enter < nearest.enter {
+                    std::mem::swap(&mut next, &mut nearest);
+                }
+                let mut at = waiting;
+                while at > base && stack[at - 1].enter < next.enter {
+                    stack[at] = stack[at - 1];
+                    at -= 1;
+                }
+                stack[at] = next;
+                waiting += 1;
+            }
+            current = nearest.reference;
+        }
+        if current & CHILD_IS_LEAF != 0 {
+            let leaf = tree.leaf(current);
+            if let Some(crossing) = beam.triangles(leaf, t_max) {
+                nearer(tree, ray, leaf, &crossing, &mut best);
+                t_max = L::splat(best.t);
+            }
+        }
+        loop {
+            if waiting == 0 {
+                break 'walk;
+            }
+            waiting -= 1;
+            if stack[waiting].enter <= best.t {
+                current = stack[waiting].reference;
+                break;
+            }
+        }
+    }
+    if best.is_hit() { best } else { Hit::MISS }
+}
+
+/// Takes over the nearest of a leaf's crossings.
+#[inline(always)]
+fn nearer<L: Lanes>(tree: &Tree, ray: &Ray, leaf: &Leaf, crossing: &Crossing<L>, best: &mut Hit) {
+    let t = crossing.t.store();
+    let (u, v, sum) = crossing.weights();
+    let mut bits = crossing.bits;
+    while bits != 0 {
+        let k = bits.trailing_zeros() as usize;
+        bits &= bits - 1;
+        let triangle = leaf.triangle[k] & !PARTIAL;
+        let is_nearer = t[k] < best.t || (t[k] == best.t && triangle < best.triangle);
+        if !is_nearer
+            || (leaf.triangle[k] & PARTIAL != 0 && !stops(tree, ray, triangle, u[k], v[k]))
+        {
+            continue;
+        }
+        // Corners turn counter-clockwise around the ray's axis where the sum is negative.
+        let z = ray.direction.abs().max_position();
+        let front = (sum[k] > 0.0) == (ray.direction[z] > 0.0);
+        let side = if front { Side::Front } else { Side::Back };
+        *best = Hit { t: t[k], triangle, u: u[k], v: v[k], side };
+    }
+}
+
+/// Whether a surface with partial coverage stops this ray.
+#[cold]
+#[inline(never)]
+fn stops(tree: &Tree, ray: &Ray, triangle: u32, u: f32, v: f32) -> bool {
+    let coverage = tree.scene.coverage_at(triangle as usize, u, v);
+    if coverage >= 1.0 {
+        return true;
+    }
+    // A number in 0..1 from the ray and the triangle, never 1: nothing stops at a hole.
+    let words = ray.origin.to_array().into_iter().chain(ray.direction.to_array());
+    let hash = words.map(f32::to_bits).fold(mix(triangle), |hash, word| mix(hash ^ word));
+    ((hash >> 8) as f32) * (1.0 / (1 << 24) as f32) < coverage
+}
+
+/// A bijection of 32 bits in which each bit depends on all [Wellons18].
+fn mix(word: u32) -> u32 {
+    let mut x = word.wrapping_add(0x9e37_79b9);
+    x = (x ^ (x >> 16)).wrapping_mul(0x21f0_aaad);
+    x = (x ^ (x >> 15)).wrapping_mul(0x735a_2d97);
+    x ^ (x >> 15)
+}
+
+/// Share of light that passes one segment through the subtree at `root`.
+#[inline(always)]
+pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, stack: &mut Stack) -> f32 {
+    let Some(beam) = Beam::<L>::new(ray, tree.extent) else { return 1.0 };
+    let stack = &mut stack.0;
+    let mut waiting = 0;
+    let t_max = L::splat(ray.t_max);
+    let mut passed = 1.0;
+    let mut current = root;
+    loop {
+        if current & CHILD_IS_LEAF == 0 {
+            let node = tree.node(current);
+            let (mut bits, _) = beam.boxes(node, t_max);
+            if bits != 0 {
+                let first = bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                while bits != 0 {
+                    let k = bits.trailing_zeros() as usize;
+                    bits &= bits - 1;
+                    stack[waiting].reference = node.child[k];
+                    waiting += 1;
+                }
+                current = node.child[first];
+                continue;
+            }
+        } else {
+            let leaf = tree.leaf(current);
+            if let Some(crossing) = beam.triangles(leaf, t_max) {
+                if !tree.has_partial {
+                    return 0.0;
+                }
+                passed *= free_share(tree, leaf, &crossing);
+                if passed == 0.0 {
+                    return 0.0;
+                }
+            }
+        }
+        if waiting == 0 {
+            return passed;
+        }
+        waiting -= 1;
+        current = stack[waiting].reference;
+    }
+}
+
+/// Product of `1 - coverage` over a leaf's crossings.
+#[cold]
+#[inline(never)]
+fn free_share<L: Lanes>(tree: &Tree, leaf: &Leaf, crossing: &Crossing<L>) -> f32 {
+    let (u, v, _) = crossing.weights();
+    let mut passed = 1.0;
+    for k in (0..WIDTH).filter(|k| crossing.bits >> k & 1 != 0) {
+        if leaf.triangle[k] & PARTIAL == 0 {
+            return 0.0;
+        }
+        let triangle = (leaf.triangle[k] & !PARTIAL) as usize;
+        passed *= 1.0 - tree.scene.coverage_at(triangle, u[k], v[k]).clamp(0.0, 1.0);
+    }
+    passed
+}
