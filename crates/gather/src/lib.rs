@@ -1,5 +1,18 @@
 //! From the solved elements to anything shown: direct light, final gather, error.
+//!
+//! [`DirectLights`] knows the lights, [`DirectLights::element_irradiance`] gives a solver its
+//! first emission, and [`Gatherer::irradiance_at`] answers at any receiver: one function for
+//! every number shown.
 
 pub mod contract;
+pub mod element_direct;
+mod emitter;
+pub mod gather;
+pub mod lights;
+mod shadow;
+mod tree;
 
 pub use contract::{Accuracy, Irradiance, Receiver};
+pub use element_direct::ElementDirect;
+pub use gather::Gatherer;
+pub use lights::DirectLights;

@@ -1,0 +1,290 @@
+//! Mean direct irradiance of every element: the first emission that a solver is given.
+//!
+//! Each element asks its strongest lights one by one, by points that are stratified over the
+//! element and over the light at once: the mean of the exact unoccluded factor times the
+//! weighted share of free shadow rays. All free gives the exact factor, none free exactly
+//! zero. Where rays disagree or the factor varies over the element, more points follow. The
+//! many weak lights are sampled together by importance (see `tree`).
+
+use crate::lights::{DirectLights, View};
+use crate::tree::Item;
+use luxel_core::{ElementId, Front, Scene, Vec3};
+use luxel_transport::sampling::hash;
+use luxel_transport::{Ray, RayCaster, Sequence};
+use rayon::prelude::*;
+
+/// How carefully elements look at the lights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ElementDirect {
+    /// Fewest and most points of an element for each strong light (powers of two).
+    pub samples: [u32; 2],
+    /// Strongest lights that each element asks one by one.
+    pub strong: usize,
+    /// Shadow rays for all the other lights together.
+    pub weak_samples: u32,
+    /// Seed of every random number.
+    pub seed: u32,
+}
+
+impl Default for ElementDirect {
+    fn default() -> Self {
+        ElementDirect { samples: [4, 16], strong: 12, weak_samples: 8, seed: 0 }
+    }
+}
+
+/// Elements whose rays travel in one batch.
+const BATCH: usize = 32;
+/// A factor that varies more than this over an element (largest over mean, less one) wants more
+/// points.
+const VARIES: f64 = 0.25;
+
+/// One strong light at one element.
+struct Task {
+    element: u32,
+    light: u32,
+    taken: u32,
+    factor: f64,
+    largest: f64,
+    weight: f64,
+    free: f64,
+    /// Smallest and largest visibility met.
+    seen: [f32; 2],
+}
+
+#[derive(Default)]
+struct Scratch {
+    items: Vec<(f32, Item)>,
+    tasks: Vec<Task>,
+    rays: Vec<Ray>,
+    /// Task (or first column, for the weak lights) and weight of each ray.
+    owner: Vec<(u32, f64)>,
+    visible: Vec<f32>,
+    weak_rays: Vec<Ray>,
+    weak: Vec<(u32, [f64; 3])>,
+    sums: Vec<f64>,
+}
+
+impl DirectLights {
+    /// Mean direct irradiance of every element, lux of each band: `front.len()` x columns.
+    ///
+    /// Unbiased but for the ratio of free to all rays (order 1 / samples where a shadow edge
+    /// crosses an element). Never negative; exactly zero where no light is seen. The same bits
+    /// for any thread count.
+    pub fn element_irradiance(
+        &self,
+        scene: &Scene,
+        front: &Front,
+        caster: &dyn RayCaster,
+        settings: &ElementDirect,
+    ) -> Vec<f32> {
+        let columns = self.columns;
+        let mut out = vec![0.0; front.len() * columns];
+        if self.is_empty() {
+            return out;
+        }
+        let job = Job { lights: self, scene, front, caster, settings };
+        out.par_chunks_mut(BATCH * columns).enumerate().for_each_init(Scratch::default, |scratch, (k, out)| {
+            job.batch(k * BATCH, out, scratch);
+        });
+        out
+    }
+}
+
+struct Job<'a> {
+    lights: &'a DirectLights,
+    scene: &'a Scene,
+    front: &'a Front,
+    caster: &'a dyn RayCaster,
+    settings: &'a ElementDirect,
+}
+
+impl Job<'_> {
+    fn batch(&self, first: usize, out: &mut [f32], s: &mut Scratch) {
+        let columns = self.lights.columns;
+        s.tasks.clear();
+        s.weak_rays.clear();
+        s.weak.clear();
+        s.sums.clear();
+        s.sums.resize(out.len(), 0.0);
+        for k in 0..out.len() / columns {
+            self.list(first, k, s);
+        }
+        let fewest = self.settings.samples[0].max(1);
+        let most = self.settings.samples[1].max(fewest);
+        let mut until = fewest;
+        loop {
+            s.rays.clear();
+            s.owner.clear();
+            for t in 0..s.tasks.len() {
+                if s.tasks[t].taken < until && (s.tasks[t].taken == 0 || s.tasks[t].wants_more()) {
+                    self.points(first, t, until, s);
+                }
+            }
+            if s.rays.is_empty() {
+                break;
+            }
+            s.visible.resize(s.rays.len(), 0.0);
+            self.caster.visibility(&s.rays, &mut s.visible);
+            for (&(task, weight), &v) in s.owner.iter().zip(&s.visible) {
+                let task = &mut s.tasks[task as usize];
+                task.free += weight * v as f64;
+                task.seen = [task.seen[0].min(v), task.seen[1].max(v)];
+            }
+            if until >= most {
+                break;
+            }
+            until = (until * 4).min(most);
+        }
+        for task in &s.tasks {
+            if task.weight > 0.0 {
+                let light = &self.lights.lights[task.light as usize];
+                let e = task.factor / task.taken as f64 * (task.free / task.weight);
+                let place = task.element as usize * columns + 3 * light.group;
+                for (band, tint) in light.tint.to_array().into_iter().enumerate() {
+                    s.sums[place + band] += e * tint as f64;
+                }
+            }
+        }
+        if !s.weak_rays.is_empty() {
+            s.visible.resize(s.weak_rays.len(), 0.0);
+            self.caster.visibility(&s.weak_rays, &mut s.visible);
+            for (&(place, value), &v) in s.weak.iter().zip(&s.visible) {
+                for band in 0..3 {
+                    s.sums[place as usize + band] += value[band] * v as f64;
+                }
+            }
+        }
+        for (out, &sum) in out.iter_mut().zip(&s.sums) {
+            *out = sum as f32;
+        }
+    }
+
+    /// Sorts the lights of element `first + k` into strong ones (tasks) and the lottery.
+    fn list(&self, first: usize, k: usize, s: &mut Scratch) {
+        let element = ElementId::from(first + k);
+        let (centre, normal) = self.front.point_on(self.scene, element, [0.5, 0.5]);
+        let (corner, _) = self.front.point_on(self.scene, element, [0.0, 0.0]);
+        let (other, _) = self.front.point_on(self.scene, element, [1.0, 1.0]);
+        let reach = (corner - centre).length().max((other - centre).length());
+        let lights = self.lights;
+        lights.tree.cut(&lights.lights, centre, normal, reach, &mut s.items);
+        let (mut strong, mut kept) = (0, 0);
+        for i in 0..s.items.len() {
+            match s.items[i].1 {
+                Item::Light(light) if strong < self.settings.strong => {
+                    strong += 1;
+                    s.tasks.push(Task {
+                        element: k as u32,
+                        light,
+                        taken: 0,
+                        factor: 0.0,
+                        largest: 0.0,
+                        weight: 0.0,
+                        free: 0.0,
+                        seen: [1.0, 0.0],
+                    });
+                }
+                _ => {
+                    s.items[kept] = s.items[i];
+                    kept += 1;
+                }
+            }
+        }
+        s.items.truncate(kept);
+        if kept > 0 {
+            self.lottery(element, k, (centre, normal, reach), s);
+        }
+    }
+
+    fn lottery(&self, element: ElementId, k: usize, site: (Vec3, Vec3, f32), s: &mut Scratch) {
+        let lights = self.lights;
+        let whole: f64 = s.items.iter().map(|i| i.0 as f64).sum();
+        let offset = self.caster.offset_m();
+        let draws = self.settings.weak_samples.max(1);
+        let places = Sequence::new(hash([self.settings.seed, 0x77ea]), element.0);
+        let picks = Sequence::new(hash([self.settings.seed, 0x70c4]), element.0);
+        for i in 0..draws {
+            let [u, v, a, b] = places.point4(i);
+            let pick = picks.point1(i) * whole;
+            let Some((item, chance, rest)) = draw(&s.items, pick, whole) else { continue };
+            let Some((light, p)) =
+                lights.tree.pick(item, &lights.lights, site.0, site.1, site.2, rest)
+            else {
+                continue;
+            };
+            let light = &lights.lights[light as usize];
+            let (point, normal) = self.front.point_on(self.scene, element, [u, v]);
+            let start = point + normal * offset;
+            let Some(view) = light.view(point, normal, start, offset) else { continue };
+            let (ray, weight) = match view {
+                View::Point(ray) => (ray, light.factor(point.as_dvec3(), normal.as_dvec3())),
+                View::Polygon(view) => {
+                    let (x, weight) = view.sample([a as f64, b as f64]);
+                    (light.segment_to(start, x, offset), weight)
+                }
+            };
+            if weight > 0.0 {
+                let share = weight / (draws as f64 * chance * p);
+                s.weak_rays.push(ray);
+                let place = k * lights.columns + 3 * light.group;
+                s.weak.push((place as u32, light.tint.to_array().map(|t| t as f64 * share)));
+            }
+        }
+    }
+
+    /// Takes points `taken..until` of a task: adds their factors and queues their rays.
+    fn points(&self, first: usize, t: usize, until: u32, s: &mut Scratch) {
+        let task = &mut s.tasks[t];
+        let element = ElementId::from(first + task.element as usize);
+        let light = &self.lights.lights[task.light as usize];
+        let sequence = Sequence::new(hash([self.settings.seed, task.light]), element.0);
+        let offset = self.caster.offset_m();
+        for i in task.taken..until {
+            let [u, v, a, b] = sequence.point4(i);
+            let (point, normal) = self.front.point_on(self.scene, element, [u, v]);
+            let factor = light.factor(point.as_dvec3(), normal.as_dvec3());
+            task.factor += factor;
+            task.largest = task.largest.max(factor);
+            let start = point + normal * offset;
+            let (ray, weight) = match light.view(point, normal, start, offset) {
+                None => continue,
+                Some(View::Point(ray)) => (ray, factor),
+                Some(View::Polygon(view)) => {
+                    let (x, weight) = view.sample([a as f64, b as f64]);
+                    (light.segment_to(start, x, offset), weight)
+                }
+            };
+            if weight > 0.0 {
+                task.weight += weight;
+                s.rays.push(ray);
+                s.owner.push((t as u32, weight));
+            }
+        }
+        task.taken = until;
+    }
+}
+
+impl Task {
+    fn wants_more(&self) -> bool {
+        if self.factor <= 0.0 {
+            return false;
+        }
+        let uneven = self.largest * self.taken as f64 > (1.0 + VARIES) * self.factor;
+        let dark = self.seen[1] <= 0.0;
+        self.seen[0] < self.seen[1] || (uneven && !dark)
+    }
+}
+
+/// The item at `pick` of the running sum of guesses, its probability, and what is left of the
+/// random number.
+pub(crate) fn draw(items: &[(f32, Item)], pick: f64, whole: f64) -> Option<(Item, f64, f64)> {
+    let mut before = 0.0;
+    for &(guess, item) in items {
+        let guess = guess as f64;
+        if pick < before + guess {
+            return Some((item, guess / whole, ((pick - before) / guess).clamp(0.0, 1.0)));
+        }
+        before += guess;
+    }
+    items.last().map(|&(guess, item)| (item, guess as f64 / whole, 0.5))
+}

@@ -1,0 +1,303 @@
+//! Irradiance at any receiver: direct light apart, and a final gather over the solved elements.
+//!
+//! Indirect: cosine-distributed low-discrepancy rays bring the exitance of the element that
+//! they hit, in all layers at once, or the sky's. The rays belong to eight independently
+//! scrambled sequences, so eight independent estimates give the standard error. Direct: see
+//! `shadow`. Whatever adds most error for its rays is doubled until the wanted error is
+//! reached or its rays are spent.
+//!
+//! The random numbers of a receiver depend on the seed, its place and its normal, so an answer
+//! does not depend on which other receivers are asked with it.
+//!
+//! Limit: a ray brings the mean exitance of an element. Closer to a surface than its elements
+//! are large, the step from element to element is felt: in a corner about the difference of
+//! neighbouring elements, and that is not part of the stated error.
+//!
+//! Source: final gather [Reichert92], [Christensen97]; randomised nets as error estimate
+//! [Owen97].
+
+use crate::contract::{Accuracy, Irradiance, Receiver};
+use crate::lights::DirectLights;
+use crate::shadow::{self, Rays, SUBSETS, Site, Strong, Subsets, photometric_f32};
+use crate::tree::Item;
+use luxel_core::quantity::LAMBERTIAN;
+use luxel_core::{Front, Scene, Solution};
+use luxel_transport::sampling::{cosine_hemisphere, hash};
+use luxel_transport::{Hit, Ray, RayCaster, Sequence};
+use rayon::prelude::*;
+
+/// Receivers a thread takes at once.
+const CHUNK: usize = 4;
+/// Gather rays in one batch.
+const BATCH: u32 = 512;
+/// Most shadow rays for one light.
+const MOST_SHADOW: u32 = 65_536;
+
+/// Answers what light falls on any receiver.
+pub struct Gatherer<'a> {
+    front: &'a Front,
+    caster: &'a dyn RayCaster,
+    solution: &'a Solution,
+    lights: &'a DirectLights,
+    /// What a ray that leaves the scene brings, all columns.
+    outside: Vec<f64>,
+    /// No ray can bring anything: nothing is solved and there is no sky.
+    dark: bool,
+}
+
+/// What one thread reuses from receiver to receiver.
+#[derive(Default)]
+struct Scratch<'a> {
+    rays: Rays,
+    hits: Vec<Hit>,
+    items: Vec<(f32, Item)>,
+    strong: Vec<Strong<'a>>,
+    weak: Subsets,
+    indirect: Subsets,
+    variances: Vec<f64>,
+    values: Vec<f64>,
+    layers: Vec<f64>,
+}
+
+impl<'a> Gatherer<'a> {
+    /// Over a solution of this front that leaves out the own emission of the direct lights.
+    ///
+    /// Precondition: `solution`, `front` and `lights` belong to `scene`.
+    pub fn new(
+        scene: &Scene,
+        front: &'a Front,
+        caster: &'a dyn RayCaster,
+        solution: &'a Solution,
+        lights: &'a DirectLights,
+    ) -> Self {
+        let columns = lights.columns;
+        debug_assert!(solution.is_empty() || solution.exitance.len() == front.len() * columns);
+        let mut outside = vec![0.0; columns];
+        if let Some(sky) = &scene.sky {
+            let group = if sky.group.index() * 3 < columns { sky.group.index() } else { 0 };
+            for (band, l) in sky.luminance.to_array().into_iter().enumerate() {
+                outside[3 * group + band] = l as f64 * LAMBERTIAN as f64;
+            }
+        }
+        let dark = outside.iter().all(|&o| o == 0.0) && solution.exitance.iter().all(|&b| b == 0.0);
+        Gatherer { front, caster, solution, lights, outside, dark }
+    }
+
+    /// Irradiance at each receiver, per layer, with its standard error.
+    ///
+    /// Lux of each band. The error is that of the random numbers: of rays, not of the solved
+    /// elements. It is stated so that the mean square of true over stated error is 1. Exactly
+    /// zero where nothing is seen. The same bits for any thread count, order and grouping of
+    /// receivers. A receiver may lie exactly on a surface.
+    pub fn irradiance_at(&self, receivers: &[Receiver], accuracy: &Accuracy) -> Irradiance {
+        let columns = self.lights.columns;
+        let groups = columns / 3;
+        let n = receivers.len();
+        let mut values = vec![0.0; n * columns];
+        let mut layer_errors = vec![0.0; n * groups];
+        let mut errors = vec![0.0; n];
+        let rays = receivers
+            .par_chunks(CHUNK)
+            .zip(values.par_chunks_mut(CHUNK * columns))
+            .zip(layer_errors.par_chunks_mut(CHUNK * groups))
+            .zip(errors.par_chunks_mut(CHUNK))
+            .map_init(Scratch::default, |scratch, (((receivers, values), layers), errors)| {
+                let mut rays = 0;
+                for (k, receiver) in receivers.iter().enumerate() {
+                    let values = &mut values[k * columns..(k + 1) * columns];
+                    let layers = &mut layers[k * groups..(k + 1) * groups];
+                    rays += self.one(receiver, accuracy, scratch, values, layers, &mut errors[k]);
+                }
+                rays
+            })
+            .sum();
+        Irradiance { columns, values, layer_errors, errors, rays }
+    }
+
+    fn one(
+        &self,
+        receiver: &Receiver,
+        accuracy: &Accuracy,
+        s: &mut Scratch<'a>,
+        values: &mut [f32],
+        layer_errors: &mut [f32],
+        error: &mut f32,
+    ) -> u64 {
+        let columns = self.lights.columns;
+        let normal = receiver.normal.normalize_or_zero();
+        if normal.length_squared() == 0.0 || !receiver.position.is_finite() {
+            return 0;
+        }
+        let offset = self.caster.offset_m().max(f32::MIN_POSITIVE);
+        let p = receiver.position;
+        let site = Site {
+            point: p,
+            normal,
+            start: p + normal * offset,
+            offset,
+            key: hash([
+                accuracy.seed,
+                p.x.to_bits(),
+                p.y.to_bits(),
+                p.z.to_bits(),
+                normal.x.to_bits(),
+                normal.y.to_bits(),
+                normal.z.to_bits(),
+            ]),
+        };
+        let subset = |rays: u32| (rays.max(1).next_power_of_two() / SUBSETS as u32).max(2);
+        let fewest = subset(accuracy.rays[0]);
+        let most = subset(accuracy.rays[1]).max(fewest);
+        let most_shadow = most.saturating_mul(16).min(MOST_SHADOW / SUBSETS as u32);
+
+        s.indirect.reset(columns);
+        s.weak.reset(columns);
+        shadow::strong_lights(self.lights, &site, &mut s.items, &mut s.strong);
+        let unoccluded: f64 = s.strong.iter().map(|l| l.lux).sum();
+        for light in &mut s.strong {
+            let until = Strong::first_round(light.lux / unoccluded);
+            light.cast(&site, until, self.caster, &mut s.rays);
+        }
+        if !s.items.is_empty() {
+            let until = fewest.min(8);
+            let (weak, rays) = (&mut s.weak, &mut s.rays);
+            shadow::weak_lights(self.lights, &site, &s.items, until, weak, self.caster, rays);
+        }
+        if !self.dark {
+            self.gather(&site, fewest, &mut s.indirect, &mut s.rays, &mut s.hits);
+        }
+
+        // Parts: strong lights, then the weak ones, then the indirect light.
+        let count = s.strong.len() + 2;
+        s.variances.clear();
+        s.variances.extend(s.strong.iter().map(|l| l.variance()));
+        s.variances.push(s.weak.variance(columns, None));
+        s.variances.push(s.indirect.variance(columns, None));
+        s.values.resize(columns, 0.0);
+        loop {
+            self.add_up(s);
+            let total: f64 = s.values.chunks_exact(3).map(|v| crate::lights::photometric([v[0], v[1], v[2]])).sum();
+            let wanted = (accuracy.relative as f64 * total).max(accuracy.floor_lux as f64);
+            let variance: f64 = s.variances.iter().sum();
+            if variance <= wanted * wanted {
+                break;
+            }
+            // Doubling a part costs as many rays as it has and takes away at least half its
+            // variance: the largest variance a ray pays best.
+            let mut best: Option<(f64, usize)> = None;
+            for part in 0..count {
+                let (taken, limit) = match part.checked_sub(s.strong.len()) {
+                    None => (s.strong[part].taken(), most_shadow),
+                    Some(0) => (s.weak.taken, most.saturating_mul(4)),
+                    Some(_) => (s.indirect.taken, most),
+                };
+                let pays = s.variances[part] / taken.max(1) as f64;
+                if pays > 0.0 && taken < limit && best.is_none_or(|b| pays > b.0) {
+                    best = Some((pays, part));
+                }
+            }
+            let Some((_, part)) = best else { break };
+            s.variances[part] = match part.checked_sub(s.strong.len()) {
+                None => {
+                    let light = &mut s.strong[part];
+                    light.cast(&site, 2 * light.taken(), self.caster, &mut s.rays);
+                    light.variance()
+                }
+                Some(0) => {
+                    let until = 2 * s.weak.taken;
+                    let (weak, rays) = (&mut s.weak, &mut s.rays);
+                    shadow::weak_lights(self.lights, &site, &s.items, until, weak, self.caster, rays);
+                    s.weak.variance(columns, None)
+                }
+                Some(_) => {
+                    let until = 2 * s.indirect.taken;
+                    self.gather(&site, until, &mut s.indirect, &mut s.rays, &mut s.hits);
+                    s.indirect.variance(columns, None)
+                }
+            };
+        }
+
+        s.layers.clear();
+        s.layers.resize(columns / 3, 0.0);
+        for light in &s.strong {
+            s.layers[light.light.group] += light.variance();
+        }
+        s.weak.variance(columns, Some(&mut s.layers));
+        s.indirect.variance(columns, Some(&mut s.layers));
+        for (out, &v) in values.iter_mut().zip(&s.values) {
+            *out = v as f32;
+        }
+        for (out, &v) in layer_errors.iter_mut().zip(&s.layers) {
+            *out = v.sqrt() as f32;
+        }
+        *error = s.variances.iter().sum::<f64>().sqrt() as f32;
+        let shadow: u64 = s.strong.iter().map(|l| l.rays() as u64).sum();
+        shadow + s.weak.rays() as u64 + s.indirect.rays() as u64
+    }
+
+    /// The sum of all parts, all columns.
+    fn add_up(&self, s: &mut Scratch<'_>) {
+        s.values.fill(0.0);
+        s.indirect.add_mean(&mut s.values);
+        s.weak.add_mean(&mut s.values);
+        for light in &s.strong {
+            let place = 3 * light.light.group;
+            for (band, v) in light.value().into_iter().enumerate() {
+                s.values[place + band] += v;
+            }
+        }
+    }
+
+    /// Takes gather rays until each subset has `until`.
+    fn gather(&self, site: &Site, until: u32, sums: &mut Subsets, buffer: &mut Rays, hits: &mut Vec<Hit>) {
+        let columns = self.lights.columns;
+        for g in 0..SUBSETS {
+            let sequence = Sequence::new(site.key, g as u32);
+            let row = &mut sums.sums[g * columns..(g + 1) * columns];
+            let mut from = sums.taken;
+            while from < until {
+                let to = until.min(from + BATCH);
+                buffer.rays.clear();
+                buffer.rays.extend((from..to).map(|i| Ray {
+                    origin: site.start,
+                    t_min: 0.0,
+                    direction: cosine_hemisphere(sequence.point2(i), site.normal),
+                    t_max: f32::INFINITY,
+                }));
+                hits.resize(buffer.rays.len(), Hit::MISS);
+                self.caster.closest(&buffer.rays, hits);
+                for (ray, hit) in buffer.rays.iter().zip(hits.iter()) {
+                    if !hit.is_hit() {
+                        add(row, &self.outside, |&o| o);
+                        continue;
+                    }
+                    let at = ray.origin + ray.direction * hit.t;
+                    if let Some(e) = self.front.element_at(hit.triangle as usize, hit.side, at) {
+                        let first = e.index() * columns;
+                        if let Some(b) = self.solution.exitance.get(first..first + columns) {
+                            add(row, b, |&b| b as f64);
+                        }
+                    }
+                }
+                from = to;
+            }
+        }
+        sums.taken = until;
+    }
+}
+
+#[inline]
+fn add<T>(row: &mut [f64], values: &[T], as_f64: impl Fn(&T) -> f64) {
+    for (sum, v) in row.iter_mut().zip(values) {
+        *sum += as_f64(v);
+    }
+}
+
+/// Photometric total of one receiver.
+impl Irradiance {
+    /// Photometric total of receiver `index`, lux.
+    pub fn lux(&self, index: usize) -> f32 {
+        let row = &self.values[index * self.columns..(index + 1) * self.columns];
+        row.chunks_exact(3).map(photometric_f32).sum::<f64>() as f32
+    }
+}

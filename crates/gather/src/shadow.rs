@@ -1,0 +1,312 @@
+//! Direct light at one receiver: strong lights one by one, weak ones by lottery, each with its
+//! own error from independent subsets.
+//!
+//! A strong light gives its exact unoccluded factor times the share of free shadow rays,
+//! weighted by the kernel (ratio estimator). A luminaire without size needs one ray and has no
+//! error. A polygon is sampled by [`SUBSETS`] independently scrambled sequences; when all rays
+//! of the first round agree, the answer is all or nothing and its error is stated as zero: an
+//! occluder that hides less than about one part in sixty-four of the light may be missed.
+
+use crate::element_direct::draw;
+use crate::emitter::EmitterView;
+use crate::lights::{DirectLights, Light, View, photometric};
+use crate::tree::Item;
+use luxel_core::Vec3;
+use luxel_core::quantity::LUMINANCE_WEIGHTS;
+use luxel_transport::sampling::hash;
+use luxel_transport::{Ray, RayCaster, Sequence};
+
+/// Independent estimates of everything that is random.
+pub(crate) const SUBSETS: usize = 8;
+/// With 8 subsets the true error over the estimated one follows Student's t with 7 degrees of
+/// freedom, whose variance is 7 / 5: so much larger is the variance that we state, and the mean
+/// square of error over stated error is 1.
+pub(crate) const STUDENT: f64 = (SUBSETS as f64 - 1.0) / (SUBSETS as f64 - 3.0);
+/// Strongest lights that are computed one by one.
+const STRONG: usize = 24;
+
+/// A receiver, ready to send rays.
+#[derive(Clone, Copy)]
+pub(crate) struct Site {
+    pub point: Vec3,
+    pub normal: Vec3,
+    /// The point moved off its surface.
+    pub start: Vec3,
+    /// By how much, metres.
+    pub offset: f32,
+    /// Names its random numbers: from the seed, the place and the normal.
+    pub key: u32,
+}
+
+/// Buffers for batches of rays.
+#[derive(Default)]
+pub(crate) struct Rays {
+    pub rays: Vec<Ray>,
+    pub visible: Vec<f32>,
+    owner: Vec<(u32, [f64; 3])>,
+}
+
+/// Sums of independent subsets, all columns.
+#[derive(Default)]
+pub(crate) struct Subsets {
+    /// Samples in each subset.
+    pub taken: u32,
+    /// `[subset * columns + column]`.
+    pub sums: Vec<f64>,
+}
+
+impl Subsets {
+    pub fn reset(&mut self, columns: usize) {
+        self.taken = 0;
+        self.sums.clear();
+        self.sums.resize(SUBSETS * columns, 0.0);
+    }
+
+    /// Rays used.
+    pub fn rays(&self) -> u32 {
+        self.taken * SUBSETS as u32
+    }
+
+    /// Adds the mean of every column.
+    pub fn add_mean(&self, values: &mut [f64]) {
+        if self.taken > 0 {
+            for subset in self.sums.chunks_exact(values.len()) {
+                for (v, s) in values.iter_mut().zip(subset) {
+                    *v += s / self.rays() as f64;
+                }
+            }
+        }
+    }
+
+    /// Variance of the photometric mean; adds that of each layer to `layers` when asked.
+    pub fn variance(&self, columns: usize, layers: Option<&mut [f64]>) -> f64 {
+        if self.taken == 0 {
+            return 0.0;
+        }
+        let n = self.taken as f64;
+        let value = |subset: &[f64]| photometric([subset[0], subset[1], subset[2]]) / n;
+        let spread = |values: [f64; SUBSETS]| {
+            let mean = values.iter().sum::<f64>() / SUBSETS as f64;
+            let square: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+            // Equal numbers summed in different order are still equal.
+            let square = if square < 1e-24 * mean * mean { 0.0 } else { square };
+            STUDENT * square / (SUBSETS * (SUBSETS - 1)) as f64
+        };
+        let row = |g: usize| &self.sums[g * columns..(g + 1) * columns];
+        if let Some(layers) = layers {
+            for (group, layer) in layers.iter_mut().enumerate() {
+                *layer += spread(std::array::from_fn(|g| value(&row(g)[3 * group..])));
+            }
+        }
+        spread(std::array::from_fn(|g| row(g).chunks_exact(3).map(value).sum()))
+    }
+}
+
+/// One strong light at one receiver.
+pub(crate) struct Strong<'a> {
+    pub light: &'a Light,
+    index: u32,
+    /// Unoccluded photometric irradiance, lux.
+    pub lux: f64,
+    factor: f64,
+    view: View<'a>,
+    /// Samples in each subset; a luminaire without size has one ray in all.
+    taken: u32,
+    weight: [f64; SUBSETS],
+    free: [f64; SUBSETS],
+    seen: [f32; 2],
+}
+
+impl Strong<'_> {
+    /// Visible fraction, 0..=1.
+    fn fraction(&self) -> f64 {
+        let (weight, free): (f64, f64) = (self.weight.iter().sum(), self.free.iter().sum());
+        if weight > 0.0 { free / weight } else { 0.0 }
+    }
+
+    /// Irradiance of each band, lux.
+    pub fn value(&self) -> [f64; 3] {
+        let e = self.factor * self.fraction();
+        self.light.tint.to_array().map(|t| t as f64 * e)
+    }
+
+    /// Variance of the photometric irradiance.
+    pub fn variance(&self) -> f64 {
+        // All rays agree (or there is one).
+        if self.seen[0] >= self.seen[1] {
+            return 0.0;
+        }
+        let whole: f64 = self.weight.iter().sum();
+        let fraction = self.fraction();
+        // Variance of a ratio of means [Cochran77]: residuals free - fraction * weight.
+        let square: f64 = self
+            .weight
+            .iter()
+            .zip(&self.free)
+            .map(|(w, f)| (f - fraction * w) * (f - fraction * w))
+            .sum();
+        let n = SUBSETS as f64;
+        STUDENT * square / (whole * whole) * n / (n - 1.0) * self.lux * self.lux
+    }
+
+    pub fn rays(&self) -> u32 {
+        match self.view {
+            View::Point(_) => self.taken.min(1),
+            View::Polygon(_) => self.taken * SUBSETS as u32,
+        }
+    }
+
+    /// Goes on to `until` samples in each subset.
+    pub fn cast(&mut self, site: &Site, until: u32, caster: &dyn RayCaster, buffer: &mut Rays) {
+        buffer.rays.clear();
+        buffer.owner.clear();
+        match &self.view {
+            View::Point(ray) => {
+                buffer.rays.push(*ray);
+                buffer.owner.push((0, [1.0, 0.0, 0.0]));
+            }
+            View::Polygon(view) => {
+                for g in 0..SUBSETS {
+                    let stream = hash([self.index, g as u32]);
+                    let sequence = Sequence::new(site.key ^ 0x5bd1_e995, stream);
+                    for i in self.taken..until {
+                        let (x, weight) = sample_view(view, sequence.point2(i));
+                        if weight > 0.0 {
+                            buffer.rays.push(self.light.segment_to(site.start, x, site.offset));
+                            buffer.owner.push((g as u32, [weight, 0.0, 0.0]));
+                        }
+                    }
+                }
+            }
+        }
+        self.taken = until;
+        buffer.visible.resize(buffer.rays.len(), 0.0);
+        caster.visibility(&buffer.rays, &mut buffer.visible);
+        for (&(g, [weight, ..]), &v) in buffer.owner.iter().zip(&buffer.visible) {
+            self.weight[g as usize] += weight;
+            self.free[g as usize] += weight * v as f64;
+            self.seen = [self.seen[0].min(v), self.seen[1].max(v)];
+        }
+    }
+
+    /// Samples in each subset of the first round, for a light of this share of the whole.
+    pub fn first_round(share: f64) -> u32 {
+        if share > 0.05 {
+            8
+        } else if share > 0.01 {
+            4
+        } else {
+            2
+        }
+    }
+
+    pub fn taken(&self) -> u32 {
+        self.taken
+    }
+}
+
+/// 24-bit fractions in the middle of their cells: a point never lies on the edge of a light.
+fn sample_view(view: &EmitterView<'_>, [u, v]: [f32; 2]) -> (Vec3, f64) {
+    const HALF: f64 = 0.5 / 16_777_216.0;
+    view.sample([u as f64 + HALF, v as f64 + HALF])
+}
+
+/// Finds the strong lights of a receiver; leaves the weak ones in `items`.
+pub(crate) fn strong_lights<'a>(
+    lights: &'a DirectLights,
+    site: &Site,
+    items: &mut Vec<(f32, Item)>,
+    strong: &mut Vec<Strong<'a>>,
+) {
+    strong.clear();
+    lights.tree.cut(&lights.lights, site.point, site.normal, 0.0, items);
+    let mut kept = 0;
+    for i in 0..items.len() {
+        match items[i].1 {
+            Item::Light(index) if strong.len() < STRONG => {
+                let light = &lights.lights[index as usize];
+                let factor = light.factor(site.point.as_dvec3(), site.normal.as_dvec3());
+                let view = light.view(site.point, site.normal, site.start, site.offset);
+                if let (true, Some(view)) = (factor > 0.0, view) {
+                    let lux = factor * light.tint.luminance() as f64;
+                    let zero = [0.0; SUBSETS];
+                    let seen = [f32::INFINITY, f32::NEG_INFINITY];
+                    strong.push(Strong {
+                        light,
+                        index,
+                        lux,
+                        factor,
+                        view,
+                        taken: 0,
+                        weight: zero,
+                        free: zero,
+                        seen,
+                    });
+                }
+            }
+            _ => {
+                items[kept] = items[i];
+                kept += 1;
+            }
+        }
+    }
+    items.truncate(kept);
+}
+
+/// Takes samples of the weak lights until each subset has `until`.
+pub(crate) fn weak_lights(
+    lights: &DirectLights,
+    site: &Site,
+    items: &[(f32, Item)],
+    until: u32,
+    subsets: &mut Subsets,
+    caster: &dyn RayCaster,
+    buffer: &mut Rays,
+) {
+    let whole: f64 = items.iter().map(|i| i.0 as f64).sum();
+    buffer.rays.clear();
+    buffer.owner.clear();
+    for g in 0..SUBSETS {
+        let places = Sequence::new(site.key ^ 0x1b87_3593, 2 * g as u32);
+        let picks = Sequence::new(site.key ^ 0x1b87_3593, 2 * g as u32 + 1);
+        for i in subsets.taken..until {
+            let Some((item, chance, rest)) = draw(items, picks.point1(i) * whole, whole) else {
+                continue;
+            };
+            let picked = lights.tree.pick(item, &lights.lights, site.point, site.normal, 0.0, rest);
+            let Some((light, p)) = picked else { continue };
+            let light = &lights.lights[light as usize];
+            let Some(view) = light.view(site.point, site.normal, site.start, site.offset) else {
+                continue;
+            };
+            let (ray, weight) = match view {
+                View::Point(ray) => {
+                    (ray, light.factor(site.point.as_dvec3(), site.normal.as_dvec3()))
+                }
+                View::Polygon(view) => {
+                    let (x, weight) = sample_view(&view, places.point2(i));
+                    (light.segment_to(site.start, x, site.offset), weight)
+                }
+            };
+            if weight > 0.0 {
+                let share = weight / (chance * p);
+                let place = g * lights.columns + 3 * light.group;
+                buffer.rays.push(ray);
+                buffer.owner.push((place as u32, light.tint.to_array().map(|t| t as f64 * share)));
+            }
+        }
+    }
+    subsets.taken = until;
+    buffer.visible.resize(buffer.rays.len(), 0.0);
+    caster.visibility(&buffer.rays, &mut buffer.visible);
+    for (&(place, value), &v) in buffer.owner.iter().zip(&buffer.visible) {
+        for band in 0..3 {
+            subsets.sums[place as usize + band] += value[band] * v as f64;
+        }
+    }
+}
+
+/// Photometric value of three bands of a row.
+pub(crate) fn photometric_f32(band: &[f32]) -> f64 {
+    (0..3).map(|b| band[b] as f64 * LUMINANCE_WEIGHTS[b] as f64).sum()
+}
