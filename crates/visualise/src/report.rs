@@ -1,0 +1,396 @@
+//! The report of a run: `report.json` for programs, a short table for people.
+//!
+//! The fields are documented in `docs/report-schema.md`; the field names are the names in the
+//! file. Numbers that are not known are `null`, never a made-up zero. Units stand in the names:
+//! `_lm`, `_lux`, `_m2`, `_s`, `_bytes`; shares are 0..=1.
+
+use crate::lit_mesh::LitMesh;
+use luxel_core::quantity::LUMINANCE_WEIGHTS;
+use luxel_core::{Scene, Side, Warnings};
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+
+/// Version of the layout of `report.json`; rises when a field changes its meaning or goes.
+pub const FORMAT: u32 = 1;
+
+/// Most surfaces in the table for people.
+const TABLE_ROWS: usize = 15;
+
+/// Everything that a run has to say about itself.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// Program and version, `luxel 0.1.0`.
+    pub generator: String,
+    /// Scene file as the user named it.
+    pub scene: String,
+    /// Whether the run came to its end.
+    pub state: State,
+    /// What was asked and what was reached.
+    pub accuracy: Accuracy,
+    /// Where the light went.
+    pub energy: Energy,
+    /// How big the task was.
+    pub counts: Counts,
+    /// Time of each stage, in order.
+    pub stages: Vec<Stage>,
+    /// Most memory that the process held, bytes; `null` where the system does not tell.
+    pub memory_peak_bytes: Option<u64>,
+    /// How the picture was exposed.
+    pub exposure: Option<Exposure>,
+    /// Light on each side of each surface.
+    pub surfaces: Vec<SurfaceLight>,
+    /// What was odd in the input and what was done about it.
+    pub warnings: Vec<Oddity>,
+    /// Settings of the run by name, as the program understood them.
+    pub settings: serde_json::Map<String, serde_json::Value>,
+    /// Seed of every random number.
+    pub seed: u32,
+}
+
+/// Whether a run came to its end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// The asked accuracy was met.
+    Finished,
+    /// All work was done, but the asked accuracy was not met.
+    NotMet,
+    /// The user or a time limit ended it; the files are valid and can be resumed.
+    #[default]
+    Stopped,
+}
+
+/// Accuracy, as relative errors (0.02 is 2 %).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Accuracy {
+    /// Asked relative error.
+    pub asked: f64,
+    /// Reached: the larger of the two below.
+    pub reached: Option<f64>,
+    /// Relative RMS error of element exitance, area-weighted, as the solver estimates it.
+    pub elements: Option<f64>,
+    /// Relative RMS standard error of the illuminance at the vertices shown.
+    pub vertices: Option<f64>,
+    /// Share of the emitted flux still unshot.
+    pub unshot_share: Option<f64>,
+}
+
+/// Where the light went, photometric.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Energy {
+    /// All groups together.
+    pub total: Flux,
+    /// Each luminaire group.
+    pub groups: Vec<GroupFlux>,
+}
+
+/// Flux of one group.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct GroupFlux {
+    /// Name of the group.
+    pub name: String,
+    /// Its flux.
+    #[serde(flatten)]
+    pub flux: Flux,
+}
+
+/// The energy balance: emitted = absorbed + escaped + unshot + imbalance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Flux {
+    /// Emitted into the scene by luminaires, surfaces and sky, lm.
+    pub emitted_lm: f64,
+    /// Absorbed by surfaces, lm.
+    pub absorbed_lm: f64,
+    /// Left through openings, lm.
+    pub escaped_lm: f64,
+    /// Still to be shot, signed, lm.
+    pub unshot_lm: f64,
+    /// What is missing from the balance, signed, lm: the error of the estimate.
+    pub imbalance_lm: f64,
+}
+
+impl Flux {
+    /// A balance from its four terms, with the imbalance worked out.
+    pub fn balance(emitted_lm: f64, absorbed_lm: f64, escaped_lm: f64, unshot_lm: f64) -> Flux {
+        let imbalance_lm = emitted_lm - absorbed_lm - escaped_lm - unshot_lm;
+        Flux { emitted_lm, absorbed_lm, escaped_lm, unshot_lm, imbalance_lm }
+    }
+}
+
+impl Energy {
+    /// The balance of all groups, summed from those of each.
+    pub fn from_groups(groups: Vec<GroupFlux>) -> Energy {
+        let mut total = Flux::default();
+        for g in &groups {
+            total.emitted_lm += g.flux.emitted_lm;
+            total.absorbed_lm += g.flux.absorbed_lm;
+            total.escaped_lm += g.flux.escaped_lm;
+            total.unshot_lm += g.flux.unshot_lm;
+            total.imbalance_lm += g.flux.imbalance_lm;
+        }
+        Energy { total, groups }
+    }
+}
+
+/// How big the task was.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Counts {
+    /// Triangles lit, after repairs.
+    pub triangles: u64,
+    /// Surfaces.
+    pub surfaces: u64,
+    /// Elements of the last front.
+    pub elements: u64,
+    /// Vertices at which illuminance was asked.
+    pub vertices: u64,
+    /// Rays or form factors that the solver used.
+    pub solver_work: u64,
+    /// Rays that the gather used.
+    pub gather_rays: u64,
+    /// Steps of the solver.
+    pub steps: u64,
+    /// Luminaire groups.
+    pub groups: u64,
+    /// Threads.
+    pub threads: u64,
+}
+
+/// Time of one stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// `read`, `mesh`, `solve`, ...
+    pub name: String,
+    /// Time on the clock, seconds.
+    pub wall_s: f64,
+    /// Time of all threads, seconds; `null` where the system does not tell.
+    pub cpu_s: Option<f64>,
+}
+
+/// How the picture was exposed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Exposure {
+    /// Exposure value at ISO 100.
+    pub ev100: f64,
+    /// Display value (1 is white before the tone curve) for each cd/m².
+    pub scale_per_cd_m2: f64,
+}
+
+/// Light on one side of one surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceLight {
+    /// Index in the scene.
+    pub surface: u32,
+    /// Name of the surface.
+    pub name: String,
+    /// `front` or `back`.
+    pub side: String,
+    /// Area, m².
+    pub area_m2: f64,
+    /// Area-weighted mean illuminance.
+    pub mean_lux: f64,
+    /// Smallest illuminance at a vertex.
+    pub min_lux: f64,
+    /// Largest illuminance at a vertex.
+    pub max_lux: f64,
+    /// Area-weighted RMS standard error of the illuminance at a point (not of the mean).
+    pub error_lux: f64,
+}
+
+/// One warning.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Oddity {
+    /// Where: file and part of it.
+    pub place: String,
+    /// What was found and what was done.
+    pub what: String,
+    /// How many.
+    pub count: u64,
+}
+
+/// Warnings in the form of the report.
+pub fn oddities(warnings: &Warnings) -> Vec<Oddity> {
+    let one = |w: &luxel_core::Warning| Oddity {
+        place: w.place.clone(),
+        what: w.what.clone(),
+        count: w.count as u64,
+    };
+    warnings.iter().map(one).collect()
+}
+
+/// Illuminance of each side of each surface that has elements, in the order of
+/// [`LitMesh::parts`].
+///
+/// The mean is that of the linear interpolation that is shown (exact for it); its error falls
+/// with the square of the elements' size. Minimum and maximum are those of the vertices.
+///
+/// Precondition: the irradiance is set.
+pub fn surface_statistics(scene: &Scene, mesh: &LitMesh) -> Vec<SurfaceLight> {
+    let lux = |v: u32| {
+        let e = mesh.irradiance[v as usize];
+        LUMINANCE_WEIGHTS.iter().zip(e.to_array()).map(|(w, b)| *w as f64 * b as f64).sum::<f64>()
+    };
+    let mut list = Vec::with_capacity(mesh.parts.len());
+    for part in &mesh.parts {
+        let (mut area, mut flux, mut variance) = (0.0, 0.0, 0.0);
+        for t in part.triangles.clone() {
+            let corners = mesh.triangles[t as usize];
+            let third = mesh.area(t as usize) / 3.0;
+            area += 3.0 * third;
+            for v in corners {
+                flux += third * lux(v);
+                variance += third * (mesh.errors[v as usize] as f64).powi(2);
+            }
+        }
+        let (mut min, mut max) = (f64::INFINITY, 0.0f64);
+        for v in part.vertices.clone() {
+            min = min.min(lux(v));
+            max = max.max(lux(v));
+        }
+        let per_area = 1.0 / area.max(f64::MIN_POSITIVE);
+        list.push(SurfaceLight {
+            surface: part.surface.0,
+            name: scene.surfaces[part.surface.index()].name.clone(),
+            side: if part.side == Side::Front { "front" } else { "back" }.into(),
+            area_m2: area,
+            mean_lux: flux * per_area,
+            min_lux: if min.is_finite() { min } else { 0.0 },
+            max_lux: max,
+            error_lux: (variance * per_area).sqrt(),
+        });
+    }
+    list
+}
+
+/// Relative RMS standard error over everything shown: the root of the mean square error over
+/// the root of the mean square illuminance, area-weighted. `None` where nothing is lit.
+pub fn relative_error(mesh: &LitMesh) -> Option<f64> {
+    let (mut errors, mut values) = (0.0, 0.0);
+    for (t, corners) in mesh.triangles.iter().enumerate() {
+        let area = mesh.area(t);
+        for &v in corners {
+            errors += area * (mesh.errors[v as usize] as f64).powi(2);
+            values += area * (mesh.irradiance[v as usize].luminance() as f64).powi(2);
+        }
+    }
+    (values > 0.0).then(|| (errors / values).sqrt())
+}
+
+impl Report {
+    /// The text of `report.json`. Numbers that are not finite become `null`.
+    pub fn to_json(&self) -> String {
+        // Only a map with keys that are no text can fail, and there is none.
+        let mut text = serde_json::to_string_pretty(self).expect("all keys are text");
+        text.push('\n');
+        text
+    }
+}
+
+/// The short table that ends `luxel light`: surfaces by area, energy balance, accuracy, time.
+///
+/// Surfaces of one name are one row.
+pub fn table(report: &Report) -> String {
+    let mut rows: Vec<SurfaceLight> = Vec::new();
+    let mut by_name: Vec<&SurfaceLight> = report.surfaces.iter().collect();
+    by_name.sort_by(|a, b| a.name.cmp(&b.name));
+    for group in by_name.chunk_by(|a, b| a.name == b.name) {
+        let area: f64 = group.iter().map(|s| s.area_m2).sum();
+        rows.push(SurfaceLight {
+            name: group[0].name.clone(),
+            area_m2: area,
+            mean_lux: group.iter().map(|s| s.mean_lux * s.area_m2).sum::<f64>()
+                / area.max(f64::MIN_POSITIVE),
+            min_lux: group.iter().map(|s| s.min_lux).fold(f64::INFINITY, f64::min),
+            max_lux: group.iter().map(|s| s.max_lux).fold(0.0, f64::max),
+            ..SurfaceLight::default()
+        });
+    }
+    rows.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2).then_with(|| a.name.cmp(&b.name)));
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let mut line = |text: String| {
+        let _ = writeln!(out, "{}", text.trim_end());
+    };
+    if !rows.is_empty() {
+        let shown = &rows[..rows.len().min(TABLE_ROWS)];
+        let width = shown.iter().map(|r| r.name.chars().count()).max().unwrap_or(0).clamp(7, 32);
+        line(format!(
+            "{:<width$}  {:>9}  {:>9}  {:>9}  {:>9}",
+            "surface", "area m²", "mean lux", "min lux", "max lux"
+        ));
+        for r in shown {
+            line(format!(
+                "{:<width$}  {:>9}  {:>9}  {:>9}  {:>9}",
+                shortened(&r.name, width),
+                figure(r.area_m2),
+                figure(r.mean_lux),
+                figure(r.min_lux),
+                figure(r.max_lux)
+            ));
+        }
+        if rows.len() > shown.len() {
+            line(format!("and {} more", rows.len() - shown.len()));
+        }
+        line(String::new());
+    }
+    let f = &report.energy.total;
+    let share = if f.emitted_lm > 0.0 {
+        format!(" ({:+.2} %)", 100.0 * f.imbalance_lm / f.emitted_lm)
+    } else {
+        String::new()
+    };
+    line(format!(
+        "energy    {} lm emitted = {} absorbed + {} escaped + {} unshot; imbalance {} lm{share}",
+        figure(f.emitted_lm),
+        figure(f.absorbed_lm),
+        figure(f.escaped_lm),
+        figure(f.unshot_lm),
+        figure(f.imbalance_lm)
+    ));
+    let a = &report.accuracy;
+    let reached = a.reached.map_or("not known".into(), percent);
+    let state = match report.state {
+        State::Finished => "",
+        State::NotMet => " (not met)",
+        State::Stopped => " (stopped before the end)",
+    };
+    line(format!("accuracy  {reached} reached, {} asked{state}", percent(a.asked)));
+    let wall: f64 = report.stages.iter().map(|s| s.wall_s).sum();
+    let stages: Vec<String> =
+        report.stages.iter().map(|s| format!("{} {} s", s.name, figure(s.wall_s))).collect();
+    line(format!("time      {} s ({})", figure(wall), stages.join(", ")));
+    out
+}
+
+fn percent(share: f64) -> String {
+    format!("{} %", figure(100.0 * share))
+}
+
+/// Three figures, without an exponent in the usual range.
+fn figure(v: f64) -> String {
+    let size = v.abs();
+    if !v.is_finite() {
+        "-".into()
+    } else if size == 0.0 || size >= 99.95 {
+        format!("{v:.0}")
+    } else if size >= 9.995 {
+        format!("{v:.1}")
+    } else if size >= 0.9995 {
+        format!("{v:.2}")
+    } else if size >= 0.001 {
+        format!("{v:.3}")
+    } else {
+        format!("{v:.1e}")
+    }
+}
+
+/// A name that fits its column and holds no control characters (names come from files).
+fn shortened(name: &str, width: usize) -> String {
+    let clean = || name.chars().map(|c| if c.is_control() { ' ' } else { c });
+    if name.chars().count() <= width {
+        clean().collect()
+    } else {
+        clean().take(width - 1).chain(['…']).collect()
+    }
+}
