@@ -9,9 +9,15 @@ pub mod contract;
 mod kernel_avx2;
 mod kernel_portable;
 mod lanes;
+pub(crate) mod dilogarithm;
+pub mod lambert;
 pub mod lines;
+pub mod polygon_pair;
+pub(crate) mod quadrature;
 mod packet;
 pub mod sampling;
+#[cfg(test)]
+pub(crate) mod testing;
 mod traverse;
 
 pub use bvh::{Bvh, Kernel};
