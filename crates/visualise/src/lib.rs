@@ -1,11 +1,21 @@
 //! Pictures, vertex values and reports from a solution, which is borrowed and never changed.
 //!
 //! - [`lit_mesh`]: the elements as triangles with illuminance at their vertices
+//! - [`preview`]: a picture of them, and [`auto_view`] for where to stand
+//! - [`tone`]: exposure, tone curve, false colour
 //! - [`report`]: `report.json` and the table for people
 
+pub mod auto_view;
+mod glyphs;
 pub mod lit_mesh;
 mod places;
+pub mod preview;
+mod raster;
 pub mod report;
+pub mod tone;
 
+pub use auto_view::{auto_view, first_view};
 pub use lit_mesh::{LitMesh, LitPart};
+pub use preview::{Picture, PreviewSettings};
 pub use report::Report;
+pub use tone::Exposure;

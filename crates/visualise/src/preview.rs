@@ -1,0 +1,423 @@
+//! Pictures of the lit mesh: what the eye would see, and illuminance in false colour.
+//!
+//! Luminance at a pixel = reflectance (texel) x irradiance / pi + own luminance (texel);
+//! irradiance is interpolated between the vertices [Gouraud71]. Four samples a pixel, tone
+//! mapped one by one and then averaged, so that an edge before a bright lamp stays smooth.
+//!
+//! Where there is nothing to show, the picture says so in dark greys that do not depend on the
+//! exposure: sides that neither reflect nor emit (the back of a one-sided face) are grey by
+//! their slope, 1 to 5 % of white, so that their form can be made out; rays that leave a scene
+//! without a sky are 2 % of white, a little blue. With a sky they show its luminance.
+
+use crate::glyphs;
+use crate::lit_mesh::LitMesh;
+use crate::places::barycentric;
+use crate::raster::{Camera, NOTHING, SUPER, visible};
+use crate::tone::{Encoder, Exposure, LuxScale, ramp};
+use luxel_core::quantity::LAMBERTIAN;
+use luxel_core::{Alpha, Finish, Rgb, Scene, Side, Vec2, Vec3, View};
+use rayon::prelude::*;
+
+/// How large, and how exposed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PreviewSettings {
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// Exposure; automatic when absent.
+    pub exposure: Option<Exposure>,
+}
+
+impl Default for PreviewSettings {
+    fn default() -> Self {
+        PreviewSettings { width: 1280, height: 720, exposure: None }
+    }
+}
+
+/// A finished picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Pixels across.
+    pub width: usize,
+    /// Pixels down.
+    pub height: usize,
+    /// sRGB, three bytes a pixel, row by row from the top left.
+    pub rgb: Vec<u8>,
+}
+
+impl Picture {
+    /// The bytes of a PNG file.
+    pub fn png(&self) -> Result<Vec<u8>, image::ImageError> {
+        use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+        let mut bytes = Vec::new();
+        let encoder =
+            PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
+        let (w, h) = (self.width as u32, self.height as u32);
+        image::ImageEncoder::write_image(encoder, &self.rgb, w, h, image::ExtendedColorType::Rgb8)?;
+        Ok(bytes)
+    }
+
+    fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
+        if x < self.width && y < self.height {
+            let k = 3 * (y * self.width + x);
+            self.rgb[k..k + 3].copy_from_slice(&colour);
+        }
+    }
+}
+
+/// What is seen at one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Seen {
+    /// A surface: luminance (cd/m²) and illuminance (lux).
+    Surface { luminance: Rgb, lux: f32 },
+    /// The sky, cd/m².
+    Sky(Rgb),
+    /// Nothing that is lit: a display value.
+    Blank(Rgb),
+}
+
+const SAMPLES: usize = SUPER * SUPER;
+
+/// A picture taken but not yet developed: luminance and illuminance of every sample.
+pub struct Shot {
+    width: usize,
+    height: usize,
+    pixels: Vec<[Seen; SAMPLES]>,
+}
+
+/// Takes the picture from `view`.
+///
+/// Precondition: the mesh is of this scene and its irradiance is set. A picture of no pixels is
+/// allowed.
+pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: usize) -> Shot {
+    let stage = Stage::new(scene, mesh);
+    let near_m = (scene.diagonal() * 1e-4).clamp(1e-5, 0.02);
+    let camera = Camera::new(view, width, height, near_m);
+    let seen = visible(
+        &camera,
+        &|id| stage.corners(id),
+        stage.count(),
+        &|id| is_solid(stage.finish(id)),
+        &|id, x, y| stage.covers(id, &camera, x, y),
+    );
+    let row = width * SUPER;
+    let mut pixels = vec![[Seen::Blank(Rgb::BLACK); SAMPLES]; width * height];
+    pixels.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, pixel)| {
+        let (x, y) = (k % width * SUPER, k / width * SUPER);
+        let id = |s: usize| seen[(y + s / SUPER) * row + x + s % SUPER];
+        let middle = 0.5 * SUPER as f32;
+        // A pixel inside one plain triangle is shaded once, in its middle.
+        if (1..SAMPLES).all(|s| id(s) == id(0)) && !stage.is_textured(id(0)) {
+            *pixel = [stage.shade(id(0), &camera, x as f32 + middle, y as f32 + middle); SAMPLES];
+        } else {
+            for (s, sample) in pixel.iter_mut().enumerate() {
+                let (i, j) = ((s % SUPER) as f32 + 0.5, (s / SUPER) as f32 + 0.5);
+                *sample = stage.shade(id(s), &camera, x as f32 + i, y as f32 + j);
+            }
+        }
+    });
+    Shot { width, height, pixels }
+}
+
+/// Takes and develops the picture that a person sees; answers with the exposure that was used.
+pub fn render(
+    scene: &Scene,
+    mesh: &LitMesh,
+    view: &View,
+    settings: &PreviewSettings,
+) -> (Picture, Exposure) {
+    let shot = shoot(scene, mesh, view, settings.width, settings.height);
+    let exposure = settings.exposure.unwrap_or_else(|| shot.exposure());
+    (shot.develop(&exposure), exposure)
+}
+
+impl Shot {
+    /// Automatic exposure for this picture; the sky counts only when nothing else is seen.
+    pub fn exposure(&self) -> Exposure {
+        let mean = |pixel: &[Seen; SAMPLES], with_sky: bool| {
+            let mut sum = 0.0;
+            for s in pixel {
+                sum += match s {
+                    Seen::Surface { luminance, .. } => luminance.luminance(),
+                    Seen::Sky(l) if with_sky => l.luminance(),
+                    _ => return None,
+                };
+            }
+            Some(sum / SAMPLES as f32)
+        };
+        let mut values: Vec<f32> = self.pixels.iter().filter_map(|p| mean(p, false)).collect();
+        if values.is_empty() {
+            values = self.pixels.iter().filter_map(|p| mean(p, true)).collect();
+        }
+        Exposure::automatic(&values)
+    }
+
+    /// The picture as a person sees it.
+    pub fn develop(&self, exposure: &Exposure) -> Picture {
+        let encoder = Encoder::default();
+        let show = |s: &Seen| match s {
+            Seen::Surface { luminance, .. } | Seen::Sky(luminance) => exposure.display(*luminance),
+            Seen::Blank(value) => *value,
+        };
+        self.map(|pixel| {
+            let mean = if pixel[1..].iter().all(|s| *s == pixel[0]) {
+                show(&pixel[0])
+            } else {
+                pixel.iter().fold(Rgb::BLACK, |sum, s| sum + show(s)) * (1.0 / SAMPLES as f32)
+            };
+            encoder.encode(mean)
+        })
+    }
+
+    /// Illuminance in false colour, with a legend in lux at the right edge. The scale is fitted
+    /// to the picture when absent.
+    pub fn false_colour(&self, scale: Option<&LuxScale>) -> Picture {
+        let fitted;
+        let scale = match scale {
+            Some(given) => given,
+            None => {
+                let lux: Vec<f32> = self.pixels.iter().filter_map(|p| first_lux(p)).collect();
+                fitted = LuxScale::around(&lux);
+                &fitted
+            }
+        };
+        let encoder = Encoder::default();
+        let mut picture = self.map(|pixel| {
+            let mut sum = [0u32; 3];
+            for s in pixel {
+                let colour = match s {
+                    Seen::Surface { lux, .. } => ramp(scale.place(*lux)),
+                    Seen::Sky(_) => [96, 96, 96],
+                    Seen::Blank(value) => encoder.encode(*value),
+                };
+                for band in 0..3 {
+                    sum[band] += colour[band] as u32;
+                }
+            }
+            sum.map(|v| (v / SAMPLES as u32) as u8)
+        });
+        legend(&mut picture, scale);
+        picture
+    }
+
+    fn map(&self, colour: impl Fn(&[Seen; SAMPLES]) -> [u8; 3] + Sync) -> Picture {
+        let mut rgb = vec![0u8; 3 * self.width * self.height];
+        rgb.par_chunks_mut(3)
+            .zip(self.pixels.par_iter())
+            .with_min_len(1024)
+            .for_each(|(out, pixel)| out.copy_from_slice(&colour(pixel)));
+        Picture { width: self.width, height: self.height, rgb }
+    }
+}
+
+fn first_lux(pixel: &[Seen; SAMPLES]) -> Option<f32> {
+    pixel.iter().find_map(|s| match s {
+        Seen::Surface { lux, .. } => Some(*lux),
+        _ => None,
+    })
+}
+
+/// A bar with round values, on a dark ground at the right edge.
+fn legend(picture: &mut Picture, scale: &LuxScale) {
+    let zoom = (picture.height / 360).max(1);
+    let margin = 6 * zoom;
+    let label = |lux: f32| format!("{lux}");
+    let longest = scale.ticks.iter().map(|&t| label(t).len()).max().unwrap_or(0).max(3);
+    let (bar, text) = (10 * zoom, longest * glyphs::ADVANCE * zoom);
+    let panel = margin * 3 + bar + text;
+    let (w, h) = (picture.width, picture.height);
+    let line = 2 * glyphs::HEIGHT * zoom;
+    if panel > w || 4 * line > h {
+        return;
+    }
+    let left = w - panel;
+    for y in 0..h {
+        for x in left..w {
+            picture.set(x, y, [20, 20, 24]);
+        }
+    }
+    let (top, bottom) = (margin + line, h - margin - line);
+    for y in top..bottom {
+        let colour = ramp((bottom - 1 - y) as f32 / (bottom - 1 - top).max(1) as f32);
+        for x in left + margin..left + margin + bar {
+            picture.set(x, y, colour);
+        }
+    }
+    let ink = [230, 230, 230];
+    let beside = left + 2 * margin + bar;
+    glyphs::draw("lux", [beside, margin], zoom, |x, y| picture.set(x, y, ink));
+    let mut last = usize::MAX;
+    for &tick in scale.ticks.iter() {
+        let y = bottom - 1 - (scale.place(tick) * (bottom - 1 - top) as f32) as usize;
+        for x in left + margin..left + margin + bar + margin / 2 {
+            picture.set(x, y, ink);
+        }
+        // Labels that would touch are left out, from the dark end up.
+        if last != usize::MAX && last < y + line * 3 / 4 {
+            continue;
+        }
+        last = y;
+        let place = [beside, y.saturating_sub(glyphs::HEIGHT * zoom / 2)];
+        glyphs::draw(&label(tick), place, zoom, |x, y| picture.set(x, y, ink));
+    }
+}
+
+fn is_solid(finish: &Finish) -> bool {
+    matches!(finish.alpha, Alpha::Opaque) && !finish.transparent
+}
+
+/// Everything that can be drawn: lit triangles, then the black sides of source triangles.
+struct Stage<'a> {
+    scene: &'a Scene,
+    mesh: &'a LitMesh,
+    /// Part of each lit triangle.
+    part: Vec<u32>,
+    /// Source triangles of black sides.
+    black: Vec<(u32, Side)>,
+}
+
+impl<'a> Stage<'a> {
+    fn new(scene: &'a Scene, mesh: &'a LitMesh) -> Stage<'a> {
+        let mut part = vec![0; mesh.triangles.len()];
+        let mut lit = vec![[false; 2]; scene.surfaces.len()];
+        for (k, p) in mesh.parts.iter().enumerate() {
+            lit[p.surface.index()][p.side as usize] = true;
+            part[p.triangles.start as usize..p.triangles.end as usize].fill(k as u32);
+        }
+        let mut black = Vec::new();
+        for (surface, sides) in scene.surfaces.iter().zip(&lit) {
+            // Glass without colour is not seen.
+            if scene.finishes[surface.finish.index()].transparent {
+                continue;
+            }
+            for side in [Side::Front, Side::Back] {
+                if !sides[side as usize] {
+                    black.extend(surface.triangles.clone().map(|t| (t, side)));
+                }
+            }
+        }
+        Stage { scene, mesh, part, black }
+    }
+
+    fn count(&self) -> u32 {
+        (self.mesh.triangles.len() + self.black.len()) as u32
+    }
+
+    /// Corners, counter-clockwise from the side that is seen.
+    fn corners(&self, id: u32) -> [Vec3; 3] {
+        match self.mesh.triangles.get(id as usize) {
+            Some(t) => t.map(|v| self.mesh.positions[v as usize]),
+            None => {
+                let (triangle, side) = self.black[id as usize - self.mesh.triangles.len()];
+                let [a, b, c] = self.scene.corners(triangle as usize);
+                if side == Side::Front { [a, b, c] } else { [a, c, b] }
+            }
+        }
+    }
+
+    fn finish(&self, id: u32) -> &'a Finish {
+        let surface = match self.part.get(id as usize) {
+            Some(&p) => self.mesh.parts[p as usize].surface,
+            None => {
+                let (triangle, _) = self.black[id as usize - self.mesh.triangles.len()];
+                self.scene.surface_of[triangle as usize]
+            }
+        };
+        &self.scene.finishes[self.scene.surfaces[surface.index()].finish.index()]
+    }
+
+    fn is_textured(&self, id: u32) -> bool {
+        if id as usize >= self.mesh.triangles.len() {
+            return false;
+        }
+        let finish = self.finish(id);
+        finish.texture.is_some() || finish.emission.as_ref().is_some_and(|e| e.texture.is_some())
+    }
+
+    /// Weights of the three corners where the sight through a point of the picture meets the
+    /// plane; kept inside the triangle, as the point may lie a hair outside.
+    fn weights(&self, corners: [Vec3; 3], camera: &Camera, x: f32, y: f32) -> [f32; 3] {
+        let ray = camera.direction(x, y);
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a);
+        let t = (a - camera.eye).dot(normal) / ray.dot(normal);
+        let [u, v] = barycentric(corners, camera.eye + ray * t);
+        if !(u.is_finite() && v.is_finite()) {
+            return [1.0, 0.0, 0.0];
+        }
+        let w = [1.0 - u - v, u, v].map(|w| w.max(0.0));
+        let sum = w[0] + w[1] + w[2];
+        w.map(|w| w / sum)
+    }
+
+    fn uv(&self, id: u32, w: [f32; 3]) -> Vec2 {
+        if self.scene.uvs.is_empty() {
+            return Vec2::ZERO;
+        }
+        match self.mesh.triangles.get(id as usize) {
+            Some(t) => (0..3).map(|k| self.mesh.uvs[t[k] as usize] * w[k]).sum(),
+            None => {
+                let (triangle, side) = self.black[id as usize - self.mesh.triangles.len()];
+                let (u, v) = if side == Side::Front { (w[1], w[2]) } else { (w[2], w[1]) };
+                self.scene.uv_at(triangle as usize, u, v)
+            }
+        }
+    }
+
+    /// Whether a triangle with holes is there at a sample.
+    fn covers(&self, id: u32, camera: &Camera, x: usize, y: usize) -> bool {
+        let finish = self.finish(id);
+        let w = self.weights(self.corners(id), camera, x as f32 + 0.5, y as f32 + 0.5);
+        let texel = finish
+            .texture
+            .map_or(1.0, |t| self.scene.textures[t.index()].sample(self.uv(id, w)).1);
+        let coverage = finish.coverage * texel;
+        match finish.alpha {
+            Alpha::Opaque => true,
+            Alpha::Mask { cutoff } => coverage >= cutoff,
+            // Ordered over 4 x 4 samples, so four steps in each pixel and sixteen in four.
+            Alpha::Blend => {
+                const ORDER: [u8; 16] = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5];
+                coverage > (ORDER[y % 4 * 4 + x % 4] as f32 + 0.5) / 16.0
+            }
+        }
+    }
+
+    fn shade(&self, id: u32, camera: &Camera, x: f32, y: f32) -> Seen {
+        if id == NOTHING {
+            return match &self.scene.sky {
+                Some(sky) => Seen::Sky(sky.luminance),
+                None => Seen::Blank(Rgb::new(0.018, 0.020, 0.024)),
+            };
+        }
+        let corners = self.corners(id);
+        let Some(&part) = self.part.get(id as usize) else {
+            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
+            let slope = normal.dot(camera.direction(x, y).normalize_or_zero()).abs();
+            return Seen::Blank(Rgb::splat(0.01 + 0.04 * slope));
+        };
+        let w = self.weights(corners, camera, x, y);
+        let vertices = self.mesh.triangles[id as usize];
+        let irradiance = (0..3).fold(Rgb::BLACK, |sum, k| {
+            sum + self.mesh.irradiance[vertices[k] as usize] * w[k]
+        });
+        let finish = self.finish(id);
+        let side = self.mesh.parts[part as usize].side;
+        let textured = finish.texture.is_some()
+            || finish.emission.as_ref().is_some_and(|e| e.texture.is_some());
+        let uv = if textured { self.uv(id, w) } else { Vec2::ZERO };
+        let texel = |id: Option<luxel_core::TextureId>| {
+            id.map_or(Rgb::WHITE, |t| self.scene.textures[t.index()].sample(uv).0)
+        };
+        let mut luminance = Rgb::BLACK;
+        if side == Side::Front || finish.back_reflects {
+            luminance +=
+                finish.reflectance * texel(finish.texture) * irradiance * (1.0 / LAMBERTIAN);
+        }
+        if let Some(e) = finish.emission.as_ref().filter(|_| side == Side::Front || finish.back_emits) {
+            luminance += e.luminance * texel(e.texture);
+        }
+        Seen::Surface { luminance, lux: irradiance.luminance() }
+    }
+}
