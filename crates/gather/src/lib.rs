@@ -7,6 +7,7 @@
 pub mod contract;
 pub mod element_direct;
 mod emitter;
+pub mod fate;
 pub mod gather;
 pub mod lights;
 mod shadow;
@@ -14,5 +15,6 @@ mod tree;
 
 pub use contract::{Accuracy, Irradiance, Receiver};
 pub use element_direct::ElementDirect;
+pub use fate::Fate;
 pub use gather::Gatherer;
 pub use lights::DirectLights;
