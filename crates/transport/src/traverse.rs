@@ -22,6 +22,7 @@ use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, PARTIAL, Tree};
 use crate::contract::{Hit, Ray};
 use crate::lanes::{Lanes, WIDTH};
 use luxel_core::Side;
+use std::mem::MaybeUninit;
 
 /// Margin of boxes in units of the largest coordinate: rounding is below six units in the last
 /// place, four of the triangle test and two of the slabs.
@@ -94,6 +95,13 @@ pub(crate) fn prepare(ray: &Ray, extent: f32) -> Option<(Slabs, Shear)> {
     Some((slabs, shear))
 }
 
+// Lanes do not go through `array::map`: what is not inlined everywhere is compiled without the
+// instructions of the kernel, and costs a factor of three.
+#[inline(always)]
+fn splat<L: Lanes>(values: [f32; 3]) -> [L; 3] {
+    [L::splat(values[0]), L::splat(values[1]), L::splat(values[2])]
+}
+
 /// A prepared ray in registers.
 pub(crate) struct Beam<L> {
     inverse: [L; 3],
@@ -113,14 +121,16 @@ impl<L: Lanes> Beam<L> {
     pub(crate) fn new(ray: &Ray, extent: f32) -> Option<Beam<L>> {
         let (slabs, shear) = prepare(ray, extent)?;
         let origin = ray.origin.to_array();
+        let [x, y, z] = shear.axes;
+        let [back_x, back_y, back_z] = slabs.negative;
         Some(Beam {
-            inverse: slabs.inverse.map(L::splat),
-            near: slabs.near.map(L::splat),
-            far: slabs.far.map(L::splat),
-            near_plane: std::array::from_fn(|axis| 2 * axis + slabs.negative[axis]),
-            origin: shear.axes.map(|axis| L::splat(origin[axis])),
+            inverse: splat(slabs.inverse),
+            near: splat(slabs.near),
+            far: splat(slabs.far),
+            near_plane: [back_x, 2 + back_y, 4 + back_z],
+            origin: splat([origin[x], origin[y], origin[z]]),
             axes: shear.axes,
-            slope: shear.slope.map(L::splat),
+            slope: [L::splat(shear.slope[0]), L::splat(shear.slope[1])],
             inverse_z: L::splat(shear.inverse_z),
             t_min: L::splat(ray.t_min),
         })
@@ -145,9 +155,14 @@ impl<L: Lanes> Beam<L> {
     /// Which triangles the ray crosses at `t_min < t <= t_max`.
     #[inline(always)]
     pub(crate) fn triangles(&self, leaf: &Leaf, t_max: L) -> Option<Crossing<L>> {
-        let corner = |k: usize| self.axes.map(|axis| L::load(&leaf.corners[k][axis]));
+        let [x, y, z] = self.axes;
+        let [a, b, c] = &leaf.corners;
         crossing(
-            [corner(0), corner(1), corner(2)],
+            [
+                [L::load(&a[x]), L::load(&a[y]), L::load(&a[z])],
+                [L::load(&b[x]), L::load(&b[y]), L::load(&b[z])],
+                [L::load(&c[x]), L::load(&c[y]), L::load(&c[z])],
+            ],
             self.origin,
             self.slope,
             self.inverse_z,
@@ -180,10 +195,9 @@ pub(crate) fn crossing<L: Lanes>(
     t_min: L,
     t_max: L,
 ) -> Option<Crossing<L>> {
-    let [(ax, ay, az), (bx, by, bz), (cx, cy, cz)] = corners.map(|corner| {
-        let z = corner[2] - origin[2];
-        (corner[0] - origin[0] - slope[0] * z, corner[1] - origin[1] - slope[1] * z, z)
-    });
+    let [ax, ay, az] = sheared(corners[0], origin, slope);
+    let [bx, by, bz] = sheared(corners[1], origin, slope);
+    let [cx, cy, cz] = sheared(corners[2], origin, slope);
     let u = cx * by - cy * bx;
     let v = ax * cy - ay * cx;
     let w = bx * ay - by * ax;
@@ -196,6 +210,13 @@ pub(crate) fn crossing<L: Lanes>(
     let t = (u * az + v * bz + w * cz) / sum * inverse_z;
     let bits = L::bits(inside & t_min.lt(t) & t.le(t_max));
     (bits != 0).then_some(Crossing { bits, t, v, w, sum })
+}
+
+/// A corner seen from the ray: across it, and along it.
+#[inline(always)]
+fn sheared<L: Lanes>(corner: [L; 3], origin: [L; 3], slope: [L; 2]) -> [L; 3] {
+    let z = corner[2] - origin[2];
+    [corner[0] - origin[0] - slope[0] * z, corner[1] - origin[1] - slope[1] * z, z]
 }
 
 impl<L: Lanes> Crossing<L> {
@@ -213,30 +234,90 @@ pub(crate) struct Waiting {
     enter: f32,
 }
 
-/// Room for all that can wait; made once a batch.
-pub(crate) struct Stack([Waiting; MOST_WAITING + WIDTH]);
+/// Room for what waits in the deepest tree that the builder makes.
+///
+/// Not initialised: clearing four kilobytes would cost as much as a short ray.
+pub(crate) struct Room(MaybeUninit<[Waiting; MOST_WAITING + WIDTH]>);
 
-impl Stack {
-    pub(crate) fn new() -> Stack {
-        Stack([Waiting { reference: 0, enter: 0.0 }; MOST_WAITING + WIDTH])
+impl Room {
+    #[inline(always)]
+    pub(crate) fn new() -> Room {
+        Room(MaybeUninit::uninit())
+    }
+
+    #[inline(always)]
+    fn stack(&mut self) -> Stack<'_> {
+        Stack { items: &mut self.0, count: 0 }
+    }
+}
+
+/// What waits, last in first out.
+struct Stack<'a> {
+    items: &'a mut MaybeUninit<[Waiting; MOST_WAITING + WIDTH]>,
+    count: usize,
+}
+
+impl Stack<'_> {
+    #[inline(always)]
+    fn push(&mut self, item: Waiting) {
+        self.put(self.count, item);
+        self.count += 1;
+    }
+
+    #[inline(always)]
+    fn pop(&mut self) -> Option<Waiting> {
+        if self.count == 0 {
+            return None;
+        }
+        self.count -= 1;
+        Some(self.get(self.count))
+    }
+
+    /// Adds an item above `base` so that those from `base` on are sorted, farthest first.
+    #[inline(always)]
+    fn insert(&mut self, base: usize, item: Waiting) {
+        let mut at = self.count;
+        while at > base {
+            let below = self.get(at - 1);
+            if below.enter >= item.enter {
+                break;
+            }
+            self.put(at, below);
+            at -= 1;
+        }
+        self.put(at, item);
+        self.count += 1;
+    }
+
+    #[inline(always)]
+    fn put(&mut self, at: usize, item: Waiting) {
+        debug_assert!(at < MOST_WAITING + WIDTH);
+        // SAFETY: `at <= count`, and count stays within MOST_WAITING: a walk leaves at most
+        // seven waiting on each level, and the builder bounds the levels.
+        unsafe { self.items.as_mut_ptr().cast::<Waiting>().add(at).write(item) };
+    }
+
+    #[inline(always)]
+    fn get(&self, at: usize) -> Waiting {
+        // SAFETY: as for `put`; all below `count` were put, and callers ask for those only.
+        unsafe { self.items.as_ptr().cast::<Waiting>().add(at).read() }
     }
 }
 
 /// [`closest`] of each ray.
 #[inline(always)]
 pub(crate) fn closest_batch<L: Lanes>(tree: &Tree, rays: &[Ray], hits: &mut [Hit]) {
-    let mut stack = Stack::new();
+    let mut room = Room::new();
     for (ray, hit) in rays.iter().zip(hits) {
-        *hit = closest::<L>(tree, ray, &mut stack);
+        *hit = closest::<L>(tree, ray, &mut room);
     }
 }
 
 /// Nearest crossing.
 #[inline(always)]
-fn closest<L: Lanes>(tree: &Tree, ray: &Ray, stack: &mut Stack) -> Hit {
+fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room) -> Hit {
     let Some(beam) = Beam::<L>::new(ray, tree.extent) else { return Hit::MISS };
-    let stack = &mut stack.0;
-    let mut waiting = 0;
+    let mut stack = room.stack();
     let mut best = Hit { t: ray.t_max, ..Hit::MISS };
     let mut t_max = L::splat(ray.t_max);
     let mut current = tree.root;
@@ -255,7 +336,7 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, stack: &mut Stack) -> Hit {
             }
             // Nearest first: the others wait, sorted, the farthest deepest.
             let enter = enter.store();
-            let base = waiting;
+            let base = stack.count;
             let mut nearest = Waiting { reference: node.child[first], enter: enter[first] };
             while bits != 0 {
                 let k = bits.trailing_zeros() as usize;
@@ -264,13 +345,7 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, stack: &mut Stack) -> Hit {
                 if next.enter < nearest.enter {
                     std::mem::swap(&mut next, &mut nearest);
                 }
-                let mut at = waiting;
-                while at > base && stack[at - 1].enter < next.enter {
-                    stack[at] = stack[at - 1];
-                    at -= 1;
-                }
-                stack[at] = next;
-                waiting += 1;
+                stack.insert(base, next);
             }
             current = nearest.reference;
         }
@@ -282,12 +357,9 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, stack: &mut Stack) -> Hit {
             }
         }
         loop {
-            if waiting == 0 {
-                break 'walk;
-            }
-            waiting -= 1;
-            if stack[waiting].enter <= best.t {
-                current = stack[waiting].reference;
+            let Some(next) = stack.pop() else { break 'walk };
+            if next.enter <= best.t {
+                current = next.reference;
                 break;
             }
         }
@@ -343,10 +415,9 @@ fn mix(word: u32) -> u32 {
 
 /// Share of light that passes one segment through the subtree at `root`.
 #[inline(always)]
-pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, stack: &mut Stack) -> f32 {
+pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, room: &mut Room) -> f32 {
     let Some(beam) = Beam::<L>::new(ray, tree.extent) else { return 1.0 };
-    let stack = &mut stack.0;
-    let mut waiting = 0;
+    let mut stack = room.stack();
     let t_max = L::splat(ray.t_max);
     let mut passed = 1.0;
     let mut current = root;
@@ -360,8 +431,7 @@ pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, stack: &mu
                 while bits != 0 {
                     let k = bits.trailing_zeros() as usize;
                     bits &= bits - 1;
-                    stack[waiting].reference = node.child[k];
-                    waiting += 1;
+                    stack.push(Waiting { reference: node.child[k], enter: 0.0 });
                 }
                 current = node.child[first];
                 continue;
@@ -378,11 +448,8 @@ pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, stack: &mu
                 }
             }
         }
-        if waiting == 0 {
-            return passed;
-        }
-        waiting -= 1;
-        current = stack[waiting].reference;
+        let Some(next) = stack.pop() else { return passed };
+        current = next.reference;
     }
 }
 
