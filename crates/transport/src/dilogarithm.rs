@@ -48,22 +48,6 @@ impl Complex {
     pub fn ln(self) -> Complex {
         Complex::new(0.5 * self.norm_squared().ln(), self.im.atan2(self.re))
     }
-
-    /// Principal square root.
-    pub fn sqrt(self) -> Complex {
-        let r = self.norm_squared().sqrt();
-        if r == 0.0 {
-            return Complex::new(0.0, 0.0);
-        }
-        // The larger part first: the other follows without cancellation.
-        if self.re >= 0.0 {
-            let a = (0.5 * (r + self.re)).sqrt();
-            Complex::new(a, 0.5 * self.im / a)
-        } else {
-            let b = (0.5 * (r - self.re)).sqrt().copysign(self.im);
-            Complex::new(0.5 * self.im / b, b)
-        }
-    }
 }
 
 /// B_2n / (2n + 1)! for n = 1..: coefficients of the series in u^(2n + 1).
@@ -140,7 +124,7 @@ mod tests {
         // Li2(z) = -integral over 0..1 of ln(1 - z t) / t: 1e-11 by the adaptive rule.
         for (re, im) in [(0.3, 0.8), (-2.0, 0.5), (4.0, -3.0), (0.9, 0.05), (0.6, -0.7), (-0.2, 30.0)] {
             let z = Complex::new(re, im);
-            let mut part = |imaginary: bool| {
+            let part = |imaginary: bool| {
                 crate::quadrature::adaptive(0.0, 1.0, 1e-12, &mut |t| {
                     let l = Complex::new(1.0 - re * t, -im * t).ln();
                     if imaginary { -l.im / t } else { -l.re / t }
