@@ -4,6 +4,24 @@
 //! reaches j. Every solver is a [`Solver`]: it steps, can be watched and stopped between steps,
 //! and restarts from the residual after a change of front.
 
+pub mod ambient;
 pub mod contract;
+pub mod direct;
+pub mod gauss_seidel;
+pub mod jacobi;
+pub mod kinds;
+mod line_pass;
+pub mod monte_carlo_shooting;
+mod photometry;
+pub mod southwell;
+pub mod stochastic_jacobi;
+mod sweep;
 
 pub use contract::{Problem, Progress, Solver, Transport};
+pub use direct::Direct;
+pub use gauss_seidel::GaussSeidel;
+pub use jacobi::Jacobi;
+pub use kinds::{Kind, SolverSettings};
+pub use monte_carlo_shooting::MonteCarloShooting;
+pub use southwell::Southwell;
+pub use stochastic_jacobi::StochasticJacobi;

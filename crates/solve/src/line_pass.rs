@@ -1,0 +1,354 @@
+//! One pass of random lines: the incident flux that given exitance causes everywhere.
+//!
+//! Lines start on every element, n_i of them from i, and are sampled anew in each pass; nothing
+//! is stored of them. With q_i = n_i / A_i the expected number of lines between i and j, started
+//! at either, is A_i F_ij (q_i + q_j). So a line carries
+//!
+//! - B_i / (q_i + q_j) lm to j and B_j / (q_i + q_j) lm to i: both directions at once, which is
+//!   the balance heuristic over the two ways of finding it;
+//! - M_out / q_i lm to i, if it left the scene, which only i can find.
+//!
+//! Every line from i ends somewhere, so what arrives can be measured against any level h_i:
+//! A_i H_i = A_i h_i + sum over lines of (X - h_i) / (q_i + q_j), with X = 0 on black. This
+//! control variate removes the noise of the number of lines that happen to arrive; what is left
+//! is the variation of X over the half space of i.
+//!
+//! Deterministic: the pairs of a pass are binned by receiver and added in the order of their
+//! senders, so there are no atomics, no overflow, and the same bits for any thread count.
+//!
+//! Sources: [Bekaert99], chapter 6 (stochastic Jacobi, bidirectional transfer, constant control
+//! variates); [Veach95] (balance heuristic).
+
+use crate::contract::Problem;
+use crate::photometry::weight;
+use luxel_core::ElementId;
+use luxel_core::layers::BANDS;
+use luxel_transport::sampling::hash;
+use luxel_transport::{Arrival, LocalLines};
+use rayon::prelude::*;
+
+/// Lines of one task. Independent of the thread count, or bits would depend on it.
+const CHUNK_LINES: u64 = 1 << 15;
+
+/// Elements of one task, however few lines they have.
+const CHUNK_ELEMENTS: usize = 1 << 14;
+
+/// Bytes of accumulators that one receiving task keeps close.
+const BIN_BYTES: usize = 1 << 16;
+
+/// How many lines start on each element.
+///
+/// Kept between passes to reuse memory, and for the number of samples already used.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LinePlan {
+    /// Lines of this pass.
+    count: Vec<u32>,
+    /// Expected lines per area, q_i, 1/m².
+    density: Vec<f32>,
+    /// Next unused sample of the sequence of each element.
+    next: Vec<u32>,
+}
+
+/// Level that arrivals are measured against.
+#[derive(Clone, Copy)]
+pub(crate) enum Level<'a> {
+    /// The same for all elements, one a column.
+    Everywhere(&'a [f32]),
+    /// Incident flux per area as known so far, element-major.
+    Incident(&'a [f32]),
+}
+
+/// What a pass sends.
+#[derive(Clone, Copy)]
+pub(crate) struct Sent<'a> {
+    /// Exitance, element-major, lm/m², signed.
+    pub exitance: &'a [f32],
+    /// Exitance of the outside, one a column.
+    pub outside: &'a [f32],
+    /// Level to measure against.
+    pub level: Level<'a>,
+}
+
+/// Area-weighted mean of each column.
+pub(crate) fn mean(area: &[f64], values: &[f32], columns: usize) -> Vec<f32> {
+    let mut sum = vec![0.0f64; columns];
+    let mut whole = 0.0;
+    for (a, row) in area.iter().zip(values.chunks_exact(columns)) {
+        whole += a;
+        for (s, v) in sum.iter_mut().zip(row) {
+            *s += a * *v as f64;
+        }
+    }
+    sum.iter()
+        .map(|s| if whole > 0.0 { (s / whole) as f32 } else { 0.0 })
+        .collect()
+}
+
+impl LinePlan {
+    /// Lets later passes start with unused samples of a front of `n` elements.
+    pub fn reset(&mut self, n: usize) {
+        self.next.clear();
+        self.next.resize(n, 0);
+    }
+
+    /// Distributes about `lines` lines.
+    ///
+    /// Half by what elements receive: n_i ~ sqrt(A_i) max(rho_i, 0.1), which makes the
+    /// area-weighted error least when the half spaces look equally varied. Half by what they
+    /// send: A_i |B_i - mean|, summed over groups after each was scaled to the same whole, so
+    /// that a dim group is served as well.
+    ///
+    /// Counts are powers of two, and at least expected to be above zero on every element.
+    pub fn distribute(&mut self, problem: &Problem<'_>, sent: &Sent<'_>, lines: u64, seed: u32) {
+        let columns = problem.columns();
+        let groups = columns / BANDS;
+        let n = problem.len();
+        let level = mean(problem.area, sent.exitance, columns);
+        let deviation = |row: &[f32], g: usize| -> f64 {
+            (BANDS * g..BANDS * (g + 1))
+                .map(|k| weight(k) * (row[k] - level[k]).abs() as f64)
+                .sum()
+        };
+        let receives = |i: usize| -> f64 {
+            let rho: f64 = (0..BANDS)
+                .map(|b| weight(b) * problem.reflectance[BANDS * i + b])
+                .sum();
+            problem.area[i].sqrt() * rho.max(0.1)
+        };
+
+        let rows = || sent.exitance.chunks_exact(columns);
+        let mut whole = vec![0.0f64; groups];
+        let mut receiving = 0.0;
+        for (i, row) in rows().enumerate() {
+            receiving += receives(i);
+            for (g, w) in whole.iter_mut().enumerate() {
+                *w += problem.area[i] * deviation(row, g);
+            }
+        }
+        let lit = whole.iter().filter(|w| **w > 0.0).count();
+        let (by_receiving, by_sending) = if lit > 0 {
+            (0.5, 0.5 / lit as f64)
+        } else {
+            (1.0, 0.0)
+        };
+
+        self.count.resize(n, 0);
+        self.density.resize(n, 0.0);
+        self.next.resize(n, 0);
+        for (i, row) in rows().enumerate() {
+            let area = problem.area[i];
+            if area <= 0.0 {
+                (self.count[i], self.density[i]) = (0, 0.0);
+                continue;
+            }
+            let sends: f64 = whole
+                .iter()
+                .enumerate()
+                .filter(|(_, w)| **w > 0.0)
+                .map(|(g, w)| area * deviation(row, g) / w)
+                .sum();
+            let share = by_receiving * receives(i) / receiving + by_sending * sends;
+            let expected = lines as f64 * share;
+            let (count, effective) = if expected >= 1.0 {
+                // Nearest power of two: whole nets of the sequence are worth more than the
+                // exact number.
+                let n = 1u32 << (expected.log2().round() as u32).min(24);
+                (n, n as f64)
+            } else {
+                let dice = hash([seed, i as u32]) as f64 / (1u64 << 32) as f64;
+                ((dice < expected) as u32, expected)
+            };
+            self.count[i] = count;
+            self.density[i] = (effective / area) as f32;
+        }
+    }
+
+    /// Casts the lines of the plan. Replaces `incident` by the incident flux per area, lm/m²,
+    /// and returns how many lines there were.
+    pub fn cast(
+        &mut self,
+        problem: &Problem<'_>,
+        lines: &dyn LocalLines,
+        sent: &Sent<'_>,
+        seed: u32,
+        incident: &mut Vec<f32>,
+    ) -> u64 {
+        let columns = problem.columns();
+        incident.clear();
+        incident.resize(problem.len() * columns, 0.0);
+        let mut weights = vec![0.0f32; problem.len()];
+        let cast = match columns {
+            3 => self.accumulate::<3>(lines, sent, columns, seed, incident, &mut weights),
+            _ => self.accumulate::<0>(lines, sent, columns, seed, incident, &mut weights),
+        };
+        // A_i H_i = A_i h_i + sum X w - h_i sum w.
+        incident
+            .par_chunks_mut(columns)
+            .enumerate()
+            .for_each(|(i, row)| {
+                let area = problem.area[i] as f32;
+                let level = match sent.level {
+                    Level::Everywhere(h) => h,
+                    Level::Incident(h) => &h[i * columns..(i + 1) * columns],
+                };
+                for (v, h) in row.iter_mut().zip(level) {
+                    *v = if area > 0.0 {
+                        h + (*v - h * weights[i]) / area
+                    } else {
+                        0.0
+                    };
+                }
+            });
+        cast
+    }
+
+    /// Sums X w and w over the lines of each element. `C` is the number of columns when known
+    /// at compile time, else 0.
+    fn accumulate<const C: usize>(
+        &mut self,
+        lines: &dyn LocalLines,
+        sent: &Sent<'_>,
+        columns: usize,
+        seed: u32,
+        sums: &mut [f32],
+        weights: &mut [f32],
+    ) -> u64 {
+        let columns = if C > 0 { C } else { columns };
+        let n = weights.len();
+        let (density, count) = (&self.density, &self.count);
+        let bin = (BIN_BYTES / (4 * (columns + 1)))
+            .next_power_of_two()
+            .clamp(256, 1 << 14);
+        let shift = bin.trailing_zeros();
+        let bins = n.div_ceil(bin);
+
+        // Senders: each task owns a run of elements, their sums and their samples.
+        let mut tasks = Vec::new();
+        {
+            let (mut sums, mut weights, mut next) = (&mut *sums, &mut *weights, &mut self.next[..]);
+            let mut first = 0;
+            while first < n {
+                let mut load = 0;
+                let mut end = first;
+                while end < n && end - first < CHUNK_ELEMENTS && load < CHUNK_LINES {
+                    load += count[end] as u64;
+                    end += 1;
+                }
+                let (s, w, k);
+                (s, sums) = sums.split_at_mut((end - first) * columns);
+                (w, weights) = weights.split_at_mut(end - first);
+                (k, next) = next.split_at_mut(end - first);
+                tasks.push((first, s, w, k));
+                first = end;
+            }
+        }
+        let sorted: Vec<Binned> = tasks
+            .into_par_iter()
+            .map(|(first, sums, weights, next)| {
+                let mut arrivals = Vec::new();
+                let mut pairs = Vec::new();
+                let mut cast = 0;
+                for (k, next) in next.iter_mut().enumerate() {
+                    let i = first + k;
+                    if count[i] == 0 {
+                        continue;
+                    }
+                    // A run of 2^m samples is a whole net only where it starts at a multiple.
+                    let start = next.next_multiple_of(count[i]);
+                    *next = start.wrapping_add(count[i]);
+                    lines.cast(ElementId(i as u32), start..*next, seed, &mut arrivals);
+                    cast += arrivals.len() as u64;
+                    let sum = &mut sums[k * columns..(k + 1) * columns];
+                    for &arrival in &arrivals {
+                        if let Some(ElementId(j)) = arrival.element() {
+                            let w = 1.0 / (density[i] + density[j as usize]);
+                            add::<C>(sum, row::<C>(sent.exitance, j as usize, columns), w);
+                            weights[k] += w;
+                            pairs.push((i as u32, j));
+                        } else {
+                            let w = 1.0 / density[i];
+                            if arrival == Arrival::OUTSIDE {
+                                add::<C>(sum, sent.outside, w);
+                            }
+                            weights[k] += w;
+                        }
+                    }
+                }
+                Binned::new(&pairs, shift, bins, cast)
+            })
+            .collect();
+
+        // Receivers: each task owns a bin and takes the senders in their order.
+        sums.par_chunks_mut(bin * columns)
+            .zip(weights.par_chunks_mut(bin))
+            .enumerate()
+            .for_each(|(b, (sums, weights))| {
+                for &(i, j) in sorted.iter().flat_map(|s| s.of(b)) {
+                    let w = 1.0 / (density[i as usize] + density[j as usize]);
+                    let at = j as usize - b * bin;
+                    add::<C>(
+                        &mut sums[at * columns..(at + 1) * columns],
+                        row::<C>(sent.exitance, i as usize, columns),
+                        w,
+                    );
+                    weights[at] += w;
+                }
+            });
+        sorted.iter().map(|s| s.lines).sum()
+    }
+}
+
+#[inline(always)]
+fn row<const C: usize>(values: &[f32], i: usize, columns: usize) -> &[f32] {
+    let columns = if C > 0 { C } else { columns };
+    &values[i * columns..(i + 1) * columns]
+}
+
+#[inline(always)]
+fn add<const C: usize>(sum: &mut [f32], values: &[f32], w: f32) {
+    if C > 0 {
+        let (sum, values) = (&mut sum[..C], &values[..C]);
+        for k in 0..C {
+            sum[k] += values[k] * w;
+        }
+    } else {
+        for (s, v) in sum.iter_mut().zip(values) {
+            *s += v * w;
+        }
+    }
+}
+
+/// Pairs of one task, sorted by the bin of the receiver, in the order of the senders within.
+struct Binned {
+    pairs: Vec<(u32, u32)>,
+    offsets: Vec<u32>,
+    lines: u64,
+}
+
+impl Binned {
+    fn new(pairs: &[(u32, u32)], shift: u32, bins: usize, lines: u64) -> Self {
+        let mut offsets = vec![0u32; bins + 1];
+        for (_, j) in pairs {
+            offsets[(j >> shift) as usize + 1] += 1;
+        }
+        for b in 0..bins {
+            offsets[b + 1] += offsets[b];
+        }
+        let mut at = offsets.clone();
+        let mut sorted = vec![(0, 0); pairs.len()];
+        for &pair in pairs {
+            let slot = &mut at[(pair.1 >> shift) as usize];
+            sorted[*slot as usize] = pair;
+            *slot += 1;
+        }
+        Binned {
+            pairs: sorted,
+            offsets,
+            lines,
+        }
+    }
+
+    fn of(&self, bin: usize) -> &[(u32, u32)] {
+        &self.pairs[self.offsets[bin] as usize..self.offsets[bin + 1] as usize]
+    }
+}

@@ -1,0 +1,526 @@
+//! Stochastic Jacobi with low-discrepancy local lines: the default.
+//!
+//! Jacobi iteration in which each product F B is an estimate from fresh random lines, so form
+//! factors are sampled and never stored, and one line carries all columns. Two phases:
+//!
+//! 1. *Shooting*: passes of the unshot exitance alone, U <- rho F U, which shows a picture after
+//!    the first pass and has all bounces after a few, with lines in proportion to what is left.
+//! 2. *Regular* passes of all power, B' = E + rho F B. Each is an estimate of the fixed point
+//!    of its own; their incident fluxes are averaged with the number of lines as weights.
+//!
+//! Two chains with random numbers of their own run side by side and never see each other. The
+//! solution is their mean, and half their difference is its error: that stays honest where
+//! passes of one chain depend on each other (each starts from the last one; runs of one
+//! low-discrepancy sequence complete each other).
+//!
+//! A step is one pass of each chain. Passes grow, so that something can be shown early, and
+//! stay bounded. How a pass works: `line_pass.rs`.
+//!
+//! Memory: 20 bytes an element and column, 32 bytes an element, 16 bytes a line of one pass.
+//!
+//! Sources: [Neumann95] (stochastic iteration for radiosity), [Bekaert99], chapter 6.
+
+use crate::contract::{Problem, Progress, Solver, Transport};
+use crate::kinds::SolverSettings;
+use crate::line_pass::{Level, LinePlan, Sent, mean};
+use crate::photometry::{F32_RESOLUTION, absolute_flux, rho, share, weight};
+use luxel_core::{FrontChange, Solution};
+use luxel_transport::LocalLines;
+use luxel_transport::sampling::hash;
+use rayon::prelude::*;
+
+/// Shooting ends when the light still to come is this share of what is there. The regular
+/// passes take the rest: each shrinks it by the reflectance.
+const STILL_TO_COME: f64 = 1e-3;
+
+/// Shooting ends after this many passes in any case. Closed white rooms come here.
+const MOST_SHOTS: u32 = 64;
+
+/// Stochastic Jacobi iteration.
+#[derive(Clone, Debug)]
+pub struct StochasticJacobi {
+    lines_per_step: u32,
+    chains: [Chain; 2],
+    /// Result of an earlier run, averaged with the new passes.
+    stored: Option<Stored>,
+    /// Mean of the chains and of the stored result; empty before the first step.
+    exitance: Vec<f32>,
+    progress: Progress,
+}
+
+#[derive(Clone, Debug)]
+struct Stored {
+    exitance: Vec<f32>,
+    relative_error: f64,
+    lines: f64,
+}
+
+/// What the next pass of a chain does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    /// Nothing is known yet.
+    Fresh,
+    /// A carried solution was put in; find its residual.
+    Residual,
+    /// Sends unshot exitance; so many passes were made.
+    Shooting(u32),
+    /// Sends all; so many passes were made.
+    Regular(u32),
+}
+
+/// One independent run.
+#[derive(Clone, Debug)]
+struct Chain {
+    phase: Phase,
+    /// Told apart from other chains and earlier runs.
+    stream: u32,
+    /// What the next pass sends: unshot exitance while shooting, then all of it.
+    sent: Vec<f32>,
+    /// Incident flux per area, lm/m²: sum over the shots, then mean of the regular passes.
+    incident: Vec<f32>,
+    /// Room for the result of a pass.
+    fresh: Vec<f32>,
+    /// Lines that `incident` is a mean of; 0 while shooting.
+    lines: f64,
+    /// Absolute unshot flux as a share of the emitted flux.
+    unshot_share: f64,
+    /// Flux of the bounces that are missing, relative to all flux.
+    to_come: f64,
+    /// By how much a bounce shrinks the flux.
+    decay: f64,
+    plan: LinePlan,
+}
+
+impl Chain {
+    fn new(stream: u32) -> Self {
+        Chain {
+            phase: Phase::Fresh,
+            stream,
+            sent: Vec::new(),
+            incident: Vec::new(),
+            fresh: Vec::new(),
+            lines: 0.0,
+            unshot_share: 1.0,
+            to_come: 1.0,
+            decay: 1.0,
+            plan: LinePlan::default(),
+        }
+    }
+
+    /// Exitance as this chain knows it: E + rho H.
+    #[inline]
+    fn exitance(&self, problem: &Problem<'_>, i: usize, k: usize) -> f64 {
+        let at = i * problem.columns() + k;
+        let incident = self.incident.get(at).map_or(0.0, |h| *h as f64);
+        problem.emission[at] + rho(problem, i, k) * incident
+    }
+
+    /// Lines of the next pass when a full one has `lines`.
+    fn load(&self, lines: u64, elements: u64, cap: u64) -> u64 {
+        match self.phase {
+            Phase::Fresh | Phase::Residual => lines,
+            // A shot of little flux may be rough.
+            Phase::Shooting(_) => {
+                let left = (lines as f64 * self.unshot_share.clamp(0.0, 1.0)) as u64;
+                left.max(lines / 4).max(elements / 2)
+            }
+            Phase::Regular(passes) => (lines << (passes / 2).min(20)).min(cap),
+        }
+    }
+
+    fn pass(&mut self, problem: &Problem<'_>, local: &dyn LocalLines, lines: u64) -> u64 {
+        let columns = problem.columns();
+        let size = problem.len() * columns;
+        let nothing = vec![0.0; columns];
+        let outside: Vec<f32> = problem.outside.iter().map(|v| *v as f32).collect();
+        if self.phase == Phase::Fresh {
+            self.sent = problem.emission.iter().map(|v| *v as f32).collect();
+            self.incident = vec![0.0; size];
+            self.plan.reset(problem.len());
+        }
+
+        let flux_before = flux(problem, &self.sent);
+        let seed = hash([problem.seed, self.stream]);
+        let level;
+        let sent = Sent {
+            exitance: &self.sent,
+            // The sky shines once while shooting.
+            outside: if matches!(self.phase, Phase::Shooting(_)) {
+                &nothing
+            } else {
+                &outside
+            },
+            level: match self.phase {
+                Phase::Fresh | Phase::Shooting(_) => {
+                    level = mean(problem.area, &self.sent, columns);
+                    Level::Everywhere(&level)
+                }
+                Phase::Residual | Phase::Regular(_) => Level::Incident(&self.incident),
+            },
+        };
+        let count = match self.phase {
+            Phase::Fresh | Phase::Residual => 0,
+            Phase::Shooting(n) | Phase::Regular(n) => n,
+        };
+        self.plan
+            .distribute(problem, &sent, lines, hash([seed, self.phase.tag(), count]));
+        let mut fresh = std::mem::take(&mut self.fresh);
+        let cast = self.plan.cast(problem, local, &sent, seed, &mut fresh);
+        self.fresh = fresh;
+
+        match self.phase {
+            Phase::Fresh | Phase::Shooting(_) => {
+                for (h, new) in self.incident.iter_mut().zip(&self.fresh) {
+                    *h += new;
+                }
+                let fresh = &self.fresh;
+                fill(&mut self.sent, columns, |at, i, k| {
+                    rho(problem, i, k) * fresh[at] as f64
+                });
+                self.after_shot(problem, flux_before, count + 1);
+            }
+            Phase::Residual => {
+                // R = E + rho F B - B, signed: a darkened place owes light.
+                std::mem::swap(&mut self.incident, &mut self.fresh);
+                let before = std::mem::take(&mut self.sent);
+                self.sent = vec![0.0; size];
+                let incident = &self.incident;
+                fill(&mut self.sent, columns, |at, i, k| {
+                    let new = problem.emission[at] + rho(problem, i, k) * incident[at] as f64;
+                    new - before[at] as f64
+                });
+                self.after_shot(problem, flux_before, 0);
+            }
+            Phase::Regular(passes) => {
+                self.lines += cast as f64;
+                let gain = (cast as f64 / self.lines.max(1.0)) as f32;
+                self.incident
+                    .par_iter_mut()
+                    .zip(&self.fresh)
+                    .for_each(|(h, new)| *h += (new - *h) * gain);
+                let fresh = &self.fresh;
+                fill(&mut self.sent, columns, |at, i, k| {
+                    problem.emission[at] + rho(problem, i, k) * fresh[at] as f64
+                });
+                self.phase = Phase::Regular(passes + 1);
+                self.to_come *= self.decay;
+                self.unshot_share *= self.decay;
+            }
+        }
+        cast
+    }
+
+    /// Decides whether shooting goes on. `before` is the flux, lm, that the pass has sent.
+    fn after_shot(&mut self, problem: &Problem<'_>, before: f64, passes: u32) {
+        let columns = problem.columns();
+        let unshot = flux(problem, &self.sent);
+        let emitted = absolute_flux(problem.area, problem.emission, columns);
+        // Without emission of its own the scene emits what the sky gave first.
+        let emitted = if emitted > 0.0 {
+            emitted
+        } else {
+            unshot.max(before)
+        };
+        let all: f64 = (0..problem.len())
+            .map(|i| {
+                let row: f64 = (0..columns)
+                    .map(|k| weight(k) * self.exitance(problem, i, k).abs())
+                    .sum();
+                problem.area[i] * row
+            })
+            .sum();
+        if passes > 0 {
+            self.decay = share(unshot, before).min(0.99);
+        }
+        self.unshot_share = share(unshot, emitted);
+        self.to_come = share(unshot, all) * self.decay / (1.0 - self.decay).max(0.01);
+        self.phase = Phase::Shooting(passes);
+        let done = passes > 0 && self.to_come < STILL_TO_COME;
+        if done || passes >= MOST_SHOTS || unshot == 0.0 {
+            self.begin_regular(problem);
+        }
+    }
+
+    fn begin_regular(&mut self, problem: &Problem<'_>) {
+        self.phase = Phase::Regular(0);
+        self.lines = 0.0;
+        let (incident, columns) = (&self.incident, problem.columns());
+        fill(&mut self.sent, columns, |at, i, k| {
+            problem.emission[at] + rho(problem, i, k) * incident[at] as f64
+        });
+    }
+}
+
+impl Phase {
+    fn tag(self) -> u32 {
+        match self {
+            Phase::Fresh => 0,
+            Phase::Residual => 1,
+            Phase::Shooting(_) => 2,
+            Phase::Regular(_) => 3,
+        }
+    }
+}
+
+/// Sets every value of a row-major array from its place, element and column.
+fn fill(values: &mut [f32], columns: usize, value: impl Fn(usize, usize, usize) -> f64 + Sync) {
+    values
+        .par_chunks_mut(columns)
+        .enumerate()
+        .for_each(|(i, row)| {
+            for (k, v) in row.iter_mut().enumerate() {
+                *v = value(i * columns + k, i, k) as f32;
+            }
+        });
+}
+
+/// Absolute photometric flux, lm.
+fn flux(problem: &Problem<'_>, exitance: &[f32]) -> f64 {
+    let columns = problem.columns();
+    problem
+        .area
+        .iter()
+        .zip(exitance.chunks_exact(columns))
+        .map(|(a, row)| {
+            a * row
+                .iter()
+                .enumerate()
+                .map(|(k, v)| weight(k) * v.abs() as f64)
+                .sum::<f64>()
+        })
+        .sum()
+}
+
+impl StochasticJacobi {
+    /// A solver at its start.
+    pub fn new(settings: SolverSettings) -> Self {
+        StochasticJacobi {
+            lines_per_step: settings.lines_per_step,
+            chains: [Chain::new(0), Chain::new(1)],
+            stored: None,
+            exitance: Vec::new(),
+            progress: Progress::default(),
+        }
+    }
+
+    /// Whether the bounces have been followed and steps only reduce noise now.
+    pub fn is_averaging(&self) -> bool {
+        self.chains
+            .iter()
+            .all(|c| matches!(c.phase, Phase::Regular(_)))
+    }
+
+    /// Weight of the stored result beside the new one.
+    fn stored_weight(&self) -> f64 {
+        match &self.stored {
+            Some(s) if self.is_averaging() => {
+                let new: f64 = self.chains.iter().map(|c| c.lines).sum();
+                share(s.lines, s.lines + new)
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Weights of the chains.
+    fn shares(&self) -> [f64; 2] {
+        let [a, b] = [self.chains[0].lines, self.chains[1].lines];
+        if a > 0.0 && b > 0.0 {
+            [a / (a + b), b / (a + b)]
+        } else {
+            [0.5, 0.5]
+        }
+    }
+
+    /// Mean of what is known, and how good it is.
+    fn settle(&mut self, problem: &Problem<'_>) {
+        let columns = problem.columns();
+        let [a, b] = self.shares();
+        let kept = self.stored_weight();
+        let (chains, stored) = (&self.chains, &self.stored);
+        self.exitance.resize(problem.len() * columns, 0.0);
+        // Photometric square of the difference and of the mean, per element, so that the sums
+        // below run in one order.
+        let squares: Vec<[f64; 2]> = self
+            .exitance
+            .par_chunks_mut(columns)
+            .enumerate()
+            .map(|(i, row)| {
+                let (mut difference, mut mean) = (0.0, 0.0);
+                for (k, v) in row.iter_mut().enumerate() {
+                    let [x, y] = [0, 1].map(|c: usize| chains[c].exitance(problem, i, k));
+                    let old = stored
+                        .as_ref()
+                        .map_or(0.0, |s| s.exitance[i * columns + k] as f64);
+                    let new = a * x + b * y;
+                    *v = (new + kept * (old - new)) as f32;
+                    difference += weight(k) * (x - y);
+                    mean += weight(k) * *v as f64;
+                }
+                [difference * difference, mean * mean]
+            })
+            .collect();
+        let (mut noise, mut whole) = (0.0, 0.0);
+        for (area, [difference, mean]) in problem.area.iter().zip(&squares) {
+            noise += area * difference;
+            whole += area * mean;
+        }
+        // The variances are as 1/a and 1/b, so Var(a X + b Y) = a b Var(X - Y).
+        let mut error = share(a * b * noise, whole).sqrt();
+        if let Some(s) = &self.stored {
+            error = if self.is_averaging() {
+                (kept * s.relative_error).hypot((1.0 - kept) * error)
+            } else {
+                error.hypot(s.relative_error)
+            };
+        }
+        let to_come = self.chains.iter().map(|c| c.to_come).fold(0.0, f64::max);
+        self.progress.relative_error = error.hypot(to_come);
+        self.progress.unshot_share = self.chains.iter().map(|c| c.unshot_share).sum::<f64>() / 2.0;
+        self.progress.finished = self.progress.relative_error < F32_RESOLUTION;
+    }
+}
+
+impl Solver for StochasticJacobi {
+    fn step(&mut self, problem: &Problem<'_>) -> Progress {
+        let Transport::Lines(local) = problem.transport else {
+            debug_assert!(false, "stochastic Jacobi needs lines");
+            return Progress {
+                finished: true,
+                relative_error: 1.0,
+                ..Progress::default()
+            };
+        };
+        // Lines of one chain: a few an element first, enough to be worth the overhead of a step;
+        // later as many as make good use of a low-discrepancy sequence.
+        let n = problem.len() as u64;
+        let cap = match self.lines_per_step {
+            0 => (32 * n).clamp(1 << 17, 1 << 21),
+            most => (most as u64 / 2).max(1),
+        };
+        let first = (2 * n).max(1 << 14).min(cap);
+        for chain in &mut self.chains {
+            let lines = chain.load(first, n, cap);
+            self.progress.work += chain.pass(problem, local, lines);
+        }
+        self.progress.step += 1;
+        self.settle(problem);
+        self.progress
+    }
+
+    fn solution(&self, problem: &Problem<'_>) -> Solution {
+        let size = problem.len() * problem.columns();
+        let started = self.exitance.len() == size;
+        let emission = || {
+            problem
+                .emission
+                .iter()
+                .map(|v| *v as f32)
+                .collect::<Vec<f32>>()
+        };
+        let mut unshot = if started {
+            vec![0.0f32; size]
+        } else {
+            emission()
+        };
+        for chain in self
+            .chains
+            .iter()
+            .filter(|c| matches!(c.phase, Phase::Shooting(_)))
+        {
+            for (u, v) in unshot.iter_mut().zip(&chain.sent) {
+                *u += 0.5 * v;
+            }
+        }
+        Solution {
+            layers: problem.layers.clone(),
+            exitance: if started {
+                self.exitance.clone()
+            } else {
+                emission()
+            },
+            unshot,
+            relative_error: if started {
+                self.progress.relative_error as f32
+            } else {
+                1.0
+            },
+            unshot_share: if started {
+                self.progress.unshot_share as f32
+            } else {
+                1.0
+            },
+            work: self.progress.work,
+        }
+    }
+
+    fn restart(&mut self, change: &FrontChange, problem: &Problem<'_>) {
+        if self.exitance.is_empty() {
+            return;
+        }
+        let columns = problem.columns();
+        // Both chains start from the mean of what is known; their residuals are independent.
+        self.exitance = change.carry(&self.exitance, columns);
+        self.stored = None;
+        for chain in &mut self.chains {
+            chain.incident = change.carry(&chain.incident, columns);
+            chain.sent = self.exitance.clone();
+            chain.phase = Phase::Residual;
+            chain.lines = 0.0;
+            // The samples of an element belong to its number, which may now be another's.
+            chain.stream = hash([chain.stream, self.progress.step, problem.len() as u32]);
+            chain.plan.reset(problem.len());
+        }
+    }
+
+    fn resume(&mut self, stored: &Solution, problem: &Problem<'_>) {
+        let columns = problem.columns();
+        let size = problem.len() * columns;
+        if stored.exitance.len() != size || stored.unshot.len() != size {
+            return;
+        }
+        self.exitance = stored.exitance.clone();
+        self.progress = Progress {
+            step: 0,
+            unshot_share: stored.unshot_share as f64,
+            relative_error: stored.relative_error as f64,
+            work: stored.work,
+            finished: false,
+        };
+        let shooting = stored.unshot.iter().any(|u| *u != 0.0);
+        for (number, chain) in self.chains.iter_mut().enumerate() {
+            // Not the lines that the stored result was made of.
+            *chain = Chain::new(hash([
+                number as u32,
+                stored.work as u32,
+                (stored.work >> 32) as u32,
+            ]));
+            chain.plan.reset(problem.len());
+            // B = E + rho H; where rho is 0 nothing of H matters to the result.
+            chain.incident = (0..size)
+                .map(|at| {
+                    let rho = rho(problem, at / columns, at % columns);
+                    let reflected = stored.exitance[at] as f64 - problem.emission[at];
+                    if rho > 0.0 {
+                        (reflected / rho) as f32
+                    } else {
+                        0.0
+                    }
+                })
+                .collect();
+            chain.unshot_share = stored.unshot_share as f64;
+            if shooting {
+                chain.sent = stored.unshot.clone();
+                chain.phase = Phase::Shooting(1);
+            } else {
+                chain.sent = stored.exitance.clone();
+                chain.phase = Phase::Regular(0);
+                chain.to_come = 0.0;
+            }
+        }
+        self.stored = Some(Stored {
+            exitance: stored.exitance.clone(),
+            relative_error: stored.relative_error as f64,
+            lines: if shooting { 0.0 } else { stored.work as f64 },
+        });
+    }
+}
