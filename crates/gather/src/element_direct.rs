@@ -28,7 +28,12 @@ pub struct ElementDirect {
 
 impl Default for ElementDirect {
     fn default() -> Self {
-        ElementDirect { samples: [4, 16], strong: 12, weak_samples: 8, seed: 0 }
+        ElementDirect {
+            samples: [4, 16],
+            strong: 12,
+            weak_samples: 8,
+            seed: 0,
+        }
     }
 }
 
@@ -37,6 +42,10 @@ const BATCH: usize = 32;
 /// A factor that varies more than this over an element (largest over mean, less one) wants more
 /// points.
 const VARIES: f64 = 0.25;
+
+/// So few lights are all strong; of more, those that are guessed to give this share of the light.
+const FEW: usize = 4;
+const WEAK: f32 = 0.02;
 
 /// One strong light at one element.
 struct Task {
@@ -82,10 +91,18 @@ impl DirectLights {
         if self.is_empty() {
             return out;
         }
-        let job = Job { lights: self, scene, front, caster, settings };
-        out.par_chunks_mut(BATCH * columns).enumerate().for_each_init(Scratch::default, |scratch, (k, out)| {
-            job.batch(k * BATCH, out, scratch);
-        });
+        let job = Job {
+            lights: self,
+            scene,
+            front,
+            caster,
+            settings,
+        };
+        out.par_chunks_mut(BATCH * columns)
+            .enumerate()
+            .for_each_init(Scratch::default, |scratch, (k, out)| {
+                job.batch(k * BATCH, out, scratch);
+            });
         out
     }
 }
@@ -167,11 +184,16 @@ impl Job<'_> {
         let (other, _) = self.front.point_on(self.scene, element, [1.0, 1.0]);
         let reach = (corner - centre).length().max((other - centre).length());
         let lights = self.lights;
-        lights.tree.cut(&lights.lights, centre, normal, reach, &mut s.items);
+        lights
+            .tree
+            .cut(&lights.lights, centre, normal, reach, &mut s.items);
         let (mut strong, mut kept) = (0, 0);
+        let whole: f32 = s.items.iter().map(|i| i.0).sum();
+        let few = s.items.len() <= FEW;
         for i in 0..s.items.len() {
+            let asked = strong < self.settings.strong && (few || s.items[i].0 >= WEAK * whole);
             match s.items[i].1 {
-                Item::Light(light) if strong < self.settings.strong => {
+                Item::Light(light) if asked => {
                     strong += 1;
                     s.tasks.push(Task {
                         element: k as u32,
@@ -206,16 +228,22 @@ impl Job<'_> {
         for i in 0..draws {
             let [u, v, a, b] = places.point4(i);
             let pick = picks.point1(i) * whole;
-            let Some((item, chance, rest)) = draw(&s.items, pick, whole) else { continue };
+            let Some((item, chance, rest)) = draw(&s.items, pick, whole) else {
+                continue;
+            };
             let Some((light, p)) =
-                lights.tree.pick(item, &lights.lights, site.0, site.1, site.2, rest)
+                lights
+                    .tree
+                    .pick(item, &lights.lights, site.0, site.1, site.2, rest)
             else {
                 continue;
             };
             let light = &lights.lights[light as usize];
             let (point, normal) = self.front.point_on(self.scene, element, [u, v]);
             let start = point + normal * offset;
-            let Some(view) = light.view(point, normal, start, offset) else { continue };
+            let Some(view) = light.view(point, normal, start, offset) else {
+                continue;
+            };
             let (ray, weight) = match view {
                 View::Point(ray) => (ray, light.factor(point.as_dvec3(), normal.as_dvec3())),
                 View::Polygon(view) => {
@@ -227,7 +255,10 @@ impl Job<'_> {
                 let share = weight / (draws as f64 * chance * p);
                 s.weak_rays.push(ray);
                 let place = k * lights.columns + 3 * light.group;
-                s.weak.push((place as u32, light.tint.to_array().map(|t| t as f64 * share)));
+                s.weak.push((
+                    place as u32,
+                    light.tint.to_array().map(|t| t as f64 * share),
+                ));
             }
         }
     }
@@ -282,9 +313,15 @@ pub(crate) fn draw(items: &[(f32, Item)], pick: f64, whole: f64) -> Option<(Item
     for &(guess, item) in items {
         let guess = guess as f64;
         if pick < before + guess {
-            return Some((item, guess / whole, ((pick - before) / guess).clamp(0.0, 1.0)));
+            return Some((
+                item,
+                guess / whole,
+                ((pick - before) / guess).clamp(0.0, 1.0),
+            ));
         }
         before += guess;
     }
-    items.last().map(|&(guess, item)| (item, guess as f64 / whole, 0.5))
+    items
+        .last()
+        .map(|&(guess, item)| (item, guess as f64 / whole, 0.5))
 }

@@ -2,11 +2,11 @@
 //! for shadow rays.
 //!
 //! From afar points are uniform by area. Near by, area sampling would spend nearly all rays
-//! where the kernel is small, so points are uniform by solid angle: a whole rectangle by
-//! [Urena13], which keeps lines along the rectangle's edges straight in the unit square and so
-//! resolves slits, any other shape as a fan of spherical triangles [Arvo95], clipped at the
-//! receiver's horizon. Each point carries the weight kernel / density, whose mean is the
-//! factor; weights nearly equal keep the ratio estimator of the visible fraction unbiased.
+//! where the kernel is small. There a rectangle is sampled uniformly in the angles along its two
+//! edges: lines along either edge stay straight in the unit square, so the strata of the points
+//! resolve slits and edges of shadow that run with the room. Any other shape is a fan of
+//! spherical triangles, uniform by solid angle [Arvo95], clipped at the receiver's horizon. Each
+//! point carries the weight kernel / density, whose mean is the factor.
 
 use luxel_core::{DVec3, Polygon, Vec3};
 use std::f64::consts::PI;
@@ -45,7 +45,14 @@ impl Emitter {
             let (u, w) = (v[1] - v[0], v[3] - v[0]);
             u.dot(w).abs() < 1e-6 * u.length() * w.length()
         };
-        Some(Emitter { normal: polygon.normal(), area, centre, radius, rectangle, polygon })
+        Some(Emitter {
+            normal: polygon.normal(),
+            area,
+            centre,
+            radius,
+            rectangle,
+            polygon,
+        })
     }
 
     /// The emitter as seen from a receiver; `None` when it is wholly behind it or turned away.
@@ -64,15 +71,27 @@ impl Emitter {
             return None;
         }
         let shape = if below {
-            fan(point, &clip_to_horizon(&self.polygon.vertices, point, normal))?
+            fan(
+                point,
+                &clip_to_horizon(&self.polygon.vertices, point, normal),
+            )?
         } else if self.radius * self.radius < NEAR * NEAR * to.length_squared() {
             Sampler::Area
-        } else if let Some(s) = self.rectangle.then(|| SphericalRectangle::new(self, point)).flatten() {
+        } else if let Some(s) = self
+            .rectangle
+            .then(|| RectangleByAngle::new(self, point))
+            .flatten()
+        {
             Sampler::Rectangle(s)
         } else {
             fan(point, &self.polygon.vertices).unwrap_or(Sampler::Area)
         };
-        Some(EmitterView { emitter: self, point, normal, shape })
+        Some(EmitterView {
+            emitter: self,
+            point,
+            normal,
+            shape,
+        })
     }
 }
 
@@ -87,8 +106,8 @@ pub(crate) struct EmitterView<'a> {
 enum Sampler {
     /// Uniform by area.
     Area,
-    /// Uniform by solid angle over a rectangle.
-    Rectangle(SphericalRectangle),
+    /// Uniform by the angles along the edges of a rectangle.
+    Rectangle(RectangleByAngle),
     /// Uniform by solid angle over triangles; with the running share of each.
     Fan(Vec<(f64, SphericalTriangle)>, f64),
 }
@@ -105,23 +124,23 @@ impl EmitterView<'_> {
                     c[0] + (c[1] - c[0]) * u + (c[3] - c[0]) * v
                 } else {
                     // Low-distortion map of the square to the triangle [Heitz19].
-                    let (a, b) =
-                        if v > u { (0.5 * u, v - 0.5 * u) } else { (u - 0.5 * v, 0.5 * v) };
+                    let (a, b) = if v > u {
+                        (0.5 * u, v - 0.5 * u)
+                    } else {
+                        (u - 0.5 * v, 0.5 * v)
+                    };
                     c[0] + (c[1] - c[0]) * a + (c[2] - c[0]) * b
                 };
-                let to = x - self.point;
-                let d2 = to.length_squared();
-                let kernel =
-                    to.dot(self.normal).max(0.0) * (-to.dot(e.normal)).max(0.0) / (PI * d2 * d2);
-                (x.as_vec3(), if d2 > 0.0 { kernel * e.area } else { 0.0 })
+                (x.as_vec3(), self.kernel(x - self.point) * e.area)
             }
             Sampler::Rectangle(s) => {
-                let to = s.sample(u, v);
-                let cos = to.dot(self.normal) / to.length();
-                ((self.point + to).as_vec3(), cos.max(0.0) * s.solid_angle / PI)
+                let (to, area) = s.sample(u, v);
+                ((self.point + to).as_vec3(), self.kernel(to) * area)
             }
             Sampler::Fan(triangles, whole) => {
-                let k = triangles.partition_point(|t| t.0 <= u).min(triangles.len() - 1);
+                let k = triangles
+                    .partition_point(|t| t.0 <= u)
+                    .min(triangles.len() - 1);
                 let before = if k == 0 { 0.0 } else { triangles[k - 1].0 };
                 let share = ((u - before) / (triangles[k].0 - before)).clamp(0.0, 1.0);
                 let w = triangles[k].1.sample(share, v);
@@ -130,8 +149,24 @@ impl EmitterView<'_> {
                     return (self.point.as_vec3(), 0.0);
                 }
                 let t = (e.polygon.vertices[0] - self.point).dot(e.normal) / fall;
-                ((self.point + w * t).as_vec3(), w.dot(self.normal).max(0.0) * whole / PI)
+                (
+                    (self.point + w * t).as_vec3(),
+                    w.dot(self.normal).max(0.0) * whole / PI,
+                )
             }
+        }
+    }
+}
+
+impl EmitterView<'_> {
+    /// Factor per area: cos cos / (pi r²).
+    fn kernel(&self, to: DVec3) -> f64 {
+        let d2 = to.length_squared();
+        let cosines = to.dot(self.normal).max(0.0) * (-to.dot(self.emitter.normal)).max(0.0);
+        if d2 > 0.0 {
+            cosines / (PI * d2 * d2)
+        } else {
+            0.0
         }
     }
 }
@@ -172,74 +207,57 @@ fn fan(point: DVec3, vertices: &[DVec3]) -> Option<Sampler> {
     Some(Sampler::Fan(triangles, whole))
 }
 
-/// Uniform sampling of a rectangle by solid angle [Urena13].
-struct SphericalRectangle {
+/// Sampling of a rectangle by the angle along each edge: the foot of the receiver is the origin,
+/// `h` its height, x = h tan a, y = h tan b with uniform angles.
+///
+/// Kernel over density is (1 + x²)(1 + y²) / (1 + x² + y²)² for h = 1: smooth and at most 1.
+struct RectangleByAngle {
     x: DVec3,
     y: DVec3,
-    z: DVec3,
-    x0: f64,
-    x1: f64,
-    y0: f64,
-    y1: f64,
-    z0: f64,
-    b0: f64,
-    b1: f64,
-    k: f64,
-    solid_angle: f64,
+    /// Vector from the receiver to its foot on the plane.
+    down: DVec3,
+    h: f64,
+    /// First angle and range of angles along x and y.
+    ax: [f64; 2],
+    ay: [f64; 2],
 }
 
-impl SphericalRectangle {
+impl RectangleByAngle {
     fn new(e: &Emitter, point: DVec3) -> Option<Self> {
         let v = &e.polygon.vertices;
         let (u, w) = (v[1] - v[0], v[3] - v[0]);
         let (lu, lw) = (u.length(), w.length());
         let (x, y) = (u / lu, w / lw);
-        let mut z = x.cross(y).normalize();
         let d = v[0] - point;
-        let mut z0 = d.dot(z);
-        if z0 > 0.0 {
-            z = -z;
-            z0 = -z0;
+        let down = e.normal * d.dot(e.normal);
+        let h = down.length();
+        if h <= 1e-9 * e.radius {
+            return None;
         }
-        let (x0, y0) = (d.dot(x), d.dot(y));
-        let (x1, y1) = (x0 + lu, y0 + lw);
-        let at = |x, y| DVec3::new(x, y, z0);
-        let n0 = at(x0, y0).cross(at(x1, y0)).normalize_or_zero();
-        let n1 = at(x1, y0).cross(at(x1, y1)).normalize_or_zero();
-        let n2 = at(x1, y1).cross(at(x0, y1)).normalize_or_zero();
-        let n3 = at(x0, y1).cross(at(x0, y0)).normalize_or_zero();
-        let angle = |a: DVec3, b: DVec3| (-a.dot(b)).clamp(-1.0, 1.0).acos();
-        let (g0, g1, g2, g3) = (angle(n0, n1), angle(n1, n2), angle(n2, n3), angle(n3, n0));
-        let k = 2.0 * PI - g2 - g3;
-        let solid_angle = g0 + g1 - k;
-        (solid_angle > 1e-5).then_some(SphericalRectangle {
+        let range = |from: f64, length: f64| {
+            let first = (from / h).atan();
+            [first, ((from + length) / h).atan() - first]
+        };
+        let (ax, ay) = (range(d.dot(x), lu), range(d.dot(y), lw));
+        Some(RectangleByAngle {
             x,
             y,
-            z,
-            x0,
-            x1,
-            y0,
-            y1,
-            z0,
-            b0: n0.z,
-            b1: n2.z,
-            k,
-            solid_angle,
+            down,
+            h,
+            ax,
+            ay,
         })
     }
 
-    /// Vector from the receiver to the point.
-    fn sample(&self, u: f64, v: f64) -> DVec3 {
-        let au = u * self.solid_angle + self.k;
-        let fu = (au.cos() * self.b0 - self.b1) / au.sin();
-        let cu = (1.0 / (fu * fu + self.b0 * self.b0).sqrt()).copysign(fu).clamp(-1.0, 1.0);
-        let xu = (-(cu * self.z0) / (1.0 - cu * cu).max(1e-300).sqrt()).clamp(self.x0, self.x1);
-        let d2 = xu * xu + self.z0 * self.z0;
-        let h0 = self.y0 / (d2 + self.y0 * self.y0).sqrt();
-        let h1 = self.y1 / (d2 + self.y1 * self.y1).sqrt();
-        let h = h0 + v * (h1 - h0);
-        let yv = if h * h < 1.0 - 1e-12 { h * d2.sqrt() / (1.0 - h * h).sqrt() } else { self.y1 };
-        self.x * xu + self.y * yv.clamp(self.y0, self.y1) + self.z * self.z0
+    /// Vector from the receiver to the point, and the area that one unit of `u` and `v` covers.
+    fn sample(&self, u: f64, v: f64) -> (DVec3, f64) {
+        let (p, q) = (
+            (self.ax[0] + u * self.ax[1]).tan(),
+            (self.ay[0] + v * self.ay[1]).tan(),
+        );
+        let to = self.down + self.x * (p * self.h) + self.y * (q * self.h);
+        let area = self.h * self.h * (1.0 + p * p) * (1.0 + q * q) * self.ax[1] * self.ay[1];
+        (to, area)
     }
 }
 
@@ -284,7 +302,11 @@ impl SphericalTriangle {
         let k2 = sin_phi - self.sin_alpha * self.a.dot(self.b);
         let below = (k2 * sin_phi + k1 * cos_phi) * self.sin_alpha;
         let cos_b = (k2 + (k2 * cos_phi - k1 * sin_phi) * self.cos_alpha) / below;
-        let cos_b = if cos_b.is_finite() { cos_b.clamp(-1.0, 1.0) } else { 1.0 };
+        let cos_b = if cos_b.is_finite() {
+            cos_b.clamp(-1.0, 1.0)
+        } else {
+            1.0
+        };
         let sin_b = (1.0 - cos_b * cos_b).sqrt();
         let across = |p: DVec3, q: DVec3| (p - q * p.dot(q)).normalize_or_zero();
         let on_side = self.a * cos_b + across(self.c, self.a) * sin_b;
@@ -341,7 +363,10 @@ mod tests {
                     .sum::<f64>()
                     / n as f64;
                 let exact = point_to_polygon(point, normal, &e.polygon);
-                assert!((mean / exact - 1.0).abs() < 1e-3, "{k} {point} {normal}: {mean} {exact}");
+                assert!(
+                    (mean / exact - 1.0).abs() < 1e-3,
+                    "{k} {point} {normal}: {mean} {exact}"
+                );
             }
         }
     }
@@ -350,7 +375,10 @@ mod tests {
     fn what_is_behind_is_not_seen() {
         for e in emitters() {
             assert!(e.seen_from(DVec3::ZERO, -DVec3::Z).is_none());
-            assert!(e.seen_from(DVec3::new(0.0, 0.0, 2.0), -DVec3::Z).is_none(), "back is dark");
+            assert!(
+                e.seen_from(DVec3::new(0.0, 0.0, 2.0), -DVec3::Z).is_none(),
+                "back is dark"
+            );
         }
     }
 }

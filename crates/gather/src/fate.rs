@@ -166,7 +166,7 @@ mod tests {
         let kinds = [
             // 4 pi, pi, and 2 pi (1 - cos) / 3 lm for one candela: a soft hemisphere's edge counts a third.
             (LuminaireKind::Point { intensity: Rgb::WHITE, range_m: f32::INFINITY }, 12.566371),
-            (LuminaireKind::Lambertian { intensity: Rgb::WHITE }, 3.1415927),
+            (LuminaireKind::Lambertian { intensity: Rgb::WHITE }, LAMBERTIAN as f64),
             (
                 LuminaireKind::Spot {
                     intensity: Rgb::WHITE,

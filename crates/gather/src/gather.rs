@@ -30,8 +30,10 @@ use rayon::prelude::*;
 const CHUNK: usize = 4;
 /// Gather rays in one batch.
 const BATCH: u32 = 512;
-/// Most shadow rays for one light.
-const MOST_SHADOW: u32 = 65_536;
+/// Most shadow rays for one light that is partly hidden, as a multiple of the gather rays and
+/// in all.
+const SHADOW_TIMES: u32 = 16;
+const MOST_SHADOW: u32 = 262_144;
 
 /// Answers what light falls on any receiver.
 pub struct Gatherer<'a> {
@@ -74,13 +76,24 @@ impl<'a> Gatherer<'a> {
         debug_assert!(solution.is_empty() || solution.exitance.len() == front.len() * columns);
         let mut outside = vec![0.0; columns];
         if let Some(sky) = &scene.sky {
-            let group = if sky.group.index() * 3 < columns { sky.group.index() } else { 0 };
+            let group = if sky.group.index() * 3 < columns {
+                sky.group.index()
+            } else {
+                0
+            };
             for (band, l) in sky.luminance.to_array().into_iter().enumerate() {
                 outside[3 * group + band] = l as f64 * LAMBERTIAN as f64;
             }
         }
         let dark = outside.iter().all(|&o| o == 0.0) && solution.exitance.iter().all(|&b| b == 0.0);
-        Gatherer { front, caster, solution, lights, outside, dark }
+        Gatherer {
+            front,
+            caster,
+            solution,
+            lights,
+            outside,
+            dark,
+        }
     }
 
     /// Irradiance at each receiver, per layer, with its standard error.
@@ -101,17 +114,27 @@ impl<'a> Gatherer<'a> {
             .zip(values.par_chunks_mut(CHUNK * columns))
             .zip(layer_errors.par_chunks_mut(CHUNK * groups))
             .zip(errors.par_chunks_mut(CHUNK))
-            .map_init(Scratch::default, |scratch, (((receivers, values), layers), errors)| {
-                let mut rays = 0;
-                for (k, receiver) in receivers.iter().enumerate() {
-                    let values = &mut values[k * columns..(k + 1) * columns];
-                    let layers = &mut layers[k * groups..(k + 1) * groups];
-                    rays += self.one(receiver, accuracy, scratch, values, layers, &mut errors[k]);
-                }
-                rays
-            })
+            .map_init(
+                Scratch::default,
+                |scratch, (((receivers, values), layers), errors)| {
+                    let mut rays = 0;
+                    for (k, receiver) in receivers.iter().enumerate() {
+                        let values = &mut values[k * columns..(k + 1) * columns];
+                        let layers = &mut layers[k * groups..(k + 1) * groups];
+                        rays +=
+                            self.one(receiver, accuracy, scratch, values, layers, &mut errors[k]);
+                    }
+                    rays
+                },
+            )
             .sum();
-        Irradiance { columns, values, layer_errors, errors, rays }
+        Irradiance {
+            columns,
+            values,
+            layer_errors,
+            errors,
+            rays,
+        }
     }
 
     fn one(
@@ -148,7 +171,9 @@ impl<'a> Gatherer<'a> {
         let subset = |rays: u32| (rays.max(1).next_power_of_two() / SUBSETS as u32).max(2);
         let fewest = subset(accuracy.rays[0]);
         let most = subset(accuracy.rays[1]).max(fewest);
-        let most_shadow = most.saturating_mul(16).min(MOST_SHADOW / SUBSETS as u32);
+        let most_shadow = most
+            .saturating_mul(SHADOW_TIMES)
+            .min(MOST_SHADOW / SUBSETS as u32);
 
         s.indirect.reset(columns);
         s.weak.reset(columns);
@@ -170,13 +195,17 @@ impl<'a> Gatherer<'a> {
         // Parts: strong lights, then the weak ones, then the indirect light.
         let count = s.strong.len() + 2;
         s.variances.clear();
-        s.variances.extend(s.strong.iter().map(|l| l.variance()));
+        s.variances.extend(s.strong.iter().map(|l| l.doubt()));
         s.variances.push(s.weak.variance(columns, None));
         s.variances.push(s.indirect.variance(columns, None));
         s.values.resize(columns, 0.0);
         loop {
             self.add_up(s);
-            let total: f64 = s.values.chunks_exact(3).map(|v| crate::lights::photometric([v[0], v[1], v[2]])).sum();
+            let total: f64 = s
+                .values
+                .chunks_exact(3)
+                .map(|v| crate::lights::photometric([v[0], v[1], v[2]]))
+                .sum();
             let wanted = (accuracy.relative as f64 * total).max(accuracy.floor_lux as f64);
             let variance: f64 = s.variances.iter().sum();
             if variance <= wanted * wanted {
@@ -187,6 +216,7 @@ impl<'a> Gatherer<'a> {
             let mut best: Option<(f64, usize)> = None;
             for part in 0..count {
                 let (taken, limit) = match part.checked_sub(s.strong.len()) {
+                    None if s.strong[part].agrees() => (s.strong[part].taken(), most),
                     None => (s.strong[part].taken(), most_shadow),
                     Some(0) => (s.weak.taken, most.saturating_mul(4)),
                     Some(_) => (s.indirect.taken, most),
@@ -201,12 +231,20 @@ impl<'a> Gatherer<'a> {
                 None => {
                     let light = &mut s.strong[part];
                     light.cast(&site, 2 * light.taken(), self.caster, &mut s.rays);
-                    light.variance()
+                    light.doubt()
                 }
                 Some(0) => {
                     let until = 2 * s.weak.taken;
                     let (weak, rays) = (&mut s.weak, &mut s.rays);
-                    shadow::weak_lights(self.lights, &site, &s.items, until, weak, self.caster, rays);
+                    shadow::weak_lights(
+                        self.lights,
+                        &site,
+                        &s.items,
+                        until,
+                        weak,
+                        self.caster,
+                        rays,
+                    );
                     s.weak.variance(columns, None)
                 }
                 Some(_) => {
@@ -230,7 +268,8 @@ impl<'a> Gatherer<'a> {
         for (out, &v) in layer_errors.iter_mut().zip(&s.layers) {
             *out = v.sqrt() as f32;
         }
-        *error = s.variances.iter().sum::<f64>().sqrt() as f32;
+        let strong: f64 = s.strong.iter().map(|l| l.variance()).sum();
+        *error = (strong + s.variances[s.strong.len()..].iter().sum::<f64>()).sqrt() as f32;
         let shadow: u64 = s.strong.iter().map(|l| l.rays() as u64).sum();
         shadow + s.weak.rays() as u64 + s.indirect.rays() as u64
     }
@@ -249,7 +288,14 @@ impl<'a> Gatherer<'a> {
     }
 
     /// Takes gather rays until each subset has `until`.
-    fn gather(&self, site: &Site, until: u32, sums: &mut Subsets, buffer: &mut Rays, hits: &mut Vec<Hit>) {
+    fn gather(
+        &self,
+        site: &Site,
+        until: u32,
+        sums: &mut Subsets,
+        buffer: &mut Rays,
+        hits: &mut Vec<Hit>,
+    ) {
         let columns = self.lights.columns;
         for g in 0..SUBSETS {
             let sequence = Sequence::new(site.key, g as u32);

@@ -11,7 +11,8 @@ use crate::emitter::{Emitter, EmitterView};
 use crate::tree::LightTree;
 use luxel_core::quantity::{LAMBERTIAN, LUMINANCE_WEIGHTS};
 use luxel_core::{
-    DVec3, ElementId, Front, Luminaire, LuminaireKind, Patch, PatchId, Polygon, Rgb, Scene, Shape, Vec3,
+    DVec3, ElementId, Front, Luminaire, LuminaireKind, Patch, PatchId, Polygon, Rgb, Scene, Shape,
+    Vec3,
 };
 use luxel_transport::Ray;
 use luxel_transport::lambert::point_to_polygon;
@@ -59,7 +60,13 @@ impl DirectLights {
     /// `front.emission` must be set. Lights whose group is out of range join the first.
     pub fn new(scene: &Scene, front: &Front) -> DirectLights {
         let columns = scene.layers().columns();
-        let layer = |g: luxel_core::GroupId| if g.index() * 3 < columns { g.index() } else { 0 };
+        let layer = |g: luxel_core::GroupId| {
+            if g.index() * 3 < columns {
+                g.index()
+            } else {
+                0
+            }
+        };
         let mut lights = Vec::new();
         for l in &scene.luminaires {
             let tint = match l.kind {
@@ -70,7 +77,11 @@ impl DirectLights {
             };
             if tint.max_band() > 0.0 {
                 let kind = LightKind::Luminaire(l.clone());
-                lights.push(Light { tint, group: layer(l.group), kind });
+                lights.push(Light {
+                    tint,
+                    group: layer(l.group),
+                    kind,
+                });
             }
         }
 
@@ -86,21 +97,38 @@ impl DirectLights {
         let mut polygons = Vec::new();
         for (patch, emissive) in elements.iter().enumerate().filter(|(_, e)| !e.is_empty()) {
             direct[patch] = true;
-            polygons_of(scene, front, PatchId::from(patch), emissive, |polygon, tint| {
-                if let Some(emitter) = Emitter::new(polygon) {
-                    let group = layer(front.patches[patch].group);
-                    polygons.push(Light { tint, group, kind: LightKind::Polygon(emitter) });
-                }
-            });
+            polygons_of(
+                scene,
+                front,
+                PatchId::from(patch),
+                emissive,
+                |polygon, tint| {
+                    if let Some(emitter) = Emitter::new(polygon) {
+                        let group = layer(front.patches[patch].group);
+                        polygons.push(Light {
+                            tint,
+                            group,
+                            kind: LightKind::Polygon(emitter),
+                        });
+                    }
+                },
+            );
         }
-        let sides: f64 = (0..scene.triangles.len()).map(|t| 2.0 * scene.area(t) as f64).sum();
+        let sides: f64 = (0..scene.triangles.len())
+            .map(|t| 2.0 * scene.area(t) as f64)
+            .sum();
         if polygons.len() <= FEW_POLYGONS || emitting < SMALL_SHARE * sides {
             lights.append(&mut polygons);
         } else {
             direct.fill(false);
         }
         let tree = LightTree::new(&lights);
-        DirectLights { lights, tree, columns, direct }
+        DirectLights {
+            lights,
+            tree,
+            columns,
+            direct,
+        }
     }
 
     /// Whether the own emission of a patch is computed here, and so must not be in the emission
@@ -132,11 +160,15 @@ fn polygons_of(
     let covered: f64 = emissive.iter().map(|e| front.area[e.index()] as f64).sum();
     let same = |e: &ElementId| {
         let m = front.emission[e.index()].to_array();
-        first.to_array().iter().zip(m).all(|(a, b)| (a - b).abs() <= 1e-5 * a.abs())
+        first
+            .to_array()
+            .iter()
+            .zip(m)
+            .all(|(a, b)| (a - b).abs() <= 1e-5 * a.abs())
     };
     let whole = whole_polygon(&front.patches[patch.index()]);
-    if let Some(polygon) = whole
-        .filter(|p| emissive.iter().all(same) && (covered - p.area()).abs() < 1e-4 * p.area())
+    if let Some(polygon) =
+        whole.filter(|p| emissive.iter().all(same) && (covered - p.area()).abs() < 1e-4 * p.area())
     {
         return add(polygon, first);
     }
@@ -151,9 +183,12 @@ fn polygons_of(
 fn whole_polygon(patch: &Patch) -> Option<Polygon> {
     let at = |s, t| patch.point(s, t).as_dvec3();
     match patch.shape {
-        Shape::Parallelogram { .. } => {
-            Some(Polygon::new(vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)]))
-        }
+        Shape::Parallelogram { .. } => Some(Polygon::new(vec![
+            at(0.0, 0.0),
+            at(1.0, 0.0),
+            at(1.0, 1.0),
+            at(0.0, 1.0),
+        ])),
         Shape::Triangle { .. } => {
             Some(Polygon::new(vec![at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0)]))
         }
@@ -180,7 +215,10 @@ impl Light {
             LightKind::Polygon(e) => {
                 let to = e.centre.as_vec3() - point;
                 let slack = e.radius as f32 + reach;
-                let d2 = to.length_squared().max(slack * slack).max(f32::MIN_POSITIVE);
+                let d2 = to
+                    .length_squared()
+                    .max(slack * slack)
+                    .max(f32::MIN_POSITIVE);
                 let d = d2.sqrt();
                 let here = ((to.dot(normal) + slack) / d).clamp(0.0, 1.0);
                 let there = ((slack - to.dot(e.normal.as_vec3())) / d).clamp(0.0, 1.0);
@@ -188,11 +226,18 @@ impl Light {
             }
             LightKind::Luminaire(l) => match l.kind {
                 LuminaireKind::Directional { .. } => {
-                    if reach > 0.0 { strength } else { strength * (-l.direction.dot(normal)).max(0.0) }
+                    if reach > 0.0 {
+                        strength
+                    } else {
+                        strength * (-l.direction.dot(normal)).max(0.0)
+                    }
                 }
                 _ => {
                     let to = l.position - point;
-                    let d2 = to.length_squared().max(reach * reach).max(f32::MIN_POSITIVE);
+                    let d2 = to
+                        .length_squared()
+                        .max(reach * reach)
+                        .max(f32::MIN_POSITIVE);
                     strength * ((to.dot(normal) + reach) / d2.sqrt()).clamp(0.0, 1.0) / d2
                 }
             },
@@ -203,17 +248,20 @@ impl Light {
     /// `start` is the receiver moved off its surface, `offset` by how much.
     pub fn view(&self, point: Vec3, normal: Vec3, start: Vec3, offset: f32) -> Option<View<'_>> {
         match &self.kind {
-            LightKind::Polygon(e) => {
-                e.seen_from(point.as_dvec3(), normal.as_dvec3()).map(View::Polygon)
-            }
+            LightKind::Polygon(e) => e
+                .seen_from(point.as_dvec3(), normal.as_dvec3())
+                .map(View::Polygon),
             LightKind::Luminaire(l) => {
                 if luminaire_factor(l, point.as_dvec3(), normal.as_dvec3()) <= 0.0 {
                     return None;
                 }
                 Some(View::Point(match l.kind {
-                    LuminaireKind::Directional { .. } => {
-                        Ray { origin: start, t_min: 0.0, direction: -l.direction, t_max: f32::INFINITY }
-                    }
+                    LuminaireKind::Directional { .. } => Ray {
+                        origin: start,
+                        t_min: 0.0,
+                        direction: -l.direction,
+                        t_max: f32::INFINITY,
+                    },
                     // A lamp may hang exactly on a ceiling: the segment ends just before it.
                     _ => segment(start, l.position, offset),
                 }))
@@ -226,7 +274,12 @@ impl Light {
         match &self.kind {
             LightKind::Polygon(e) => {
                 let target = target + e.normal.as_vec3() * offset;
-                Ray { origin: start, t_min: 0.0, direction: target - start, t_max: 1.0 }
+                Ray {
+                    origin: start,
+                    t_min: 0.0,
+                    direction: target - start,
+                    t_max: 1.0,
+                }
             }
             LightKind::Luminaire(_) => segment(start, target, offset),
         }
@@ -236,7 +289,12 @@ impl Light {
 fn segment(start: Vec3, end: Vec3, offset: f32) -> Ray {
     let direction = end - start;
     let t_max = 1.0 - (offset / direction.length().max(f32::MIN_POSITIVE)).min(1.0);
-    Ray { origin: start, t_min: 0.0, direction, t_max }
+    Ray {
+        origin: start,
+        t_min: 0.0,
+        direction,
+        t_max,
+    }
 }
 
 /// Irradiance of a luminaire of unit strength.
@@ -263,7 +321,12 @@ fn luminaire_factor(l: &Luminaire, point: DVec3, normal: DVec3) -> f64 {
     };
     match l.kind {
         LuminaireKind::Point { range_m, .. } => here * window(range_m),
-        LuminaireKind::Spot { range_m, cos_inner, cos_outer, .. } => {
+        LuminaireKind::Spot {
+            range_m,
+            cos_inner,
+            cos_outer,
+            ..
+        } => {
             let scale = 1.0 / (cos_inner as f64 - cos_outer as f64).max(0.001);
             let edge = ((along - cos_outer as f64) * scale).clamp(0.0, 1.0);
             here * window(range_m) * edge * edge

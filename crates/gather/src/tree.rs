@@ -106,7 +106,8 @@ impl LightTree {
         self.build(lights, right, first + 1);
         let (a, b) = (&self.nodes[first], &self.nodes[first + 1]);
         let centre = (low + high) * 0.5;
-        let radius = ((a.centre - centre).length() + a.radius).max((b.centre - centre).length() + b.radius);
+        let radius =
+            ((a.centre - centre).length() + a.radius).max((b.centre - centre).length() + b.radius);
         self.nodes[at] = Node {
             centre,
             radius,
@@ -119,10 +120,20 @@ impl LightTree {
 
     /// Replaces `items` by the lights and nodes that a receiver must consider, each with its
     /// guessed irradiance, strongest first.
-    pub fn cut(&self, lights: &[Light], point: Vec3, normal: Vec3, reach: f32, items: &mut Vec<(f32, Item)>) {
+    pub fn cut(
+        &self,
+        lights: &[Light],
+        point: Vec3,
+        normal: Vec3,
+        reach: f32,
+        items: &mut Vec<(f32, Item)>,
+    ) {
         items.clear();
         for &l in &self.distant {
-            items.push((lights[l as usize].guess(point, normal, reach), Item::Light(l)));
+            items.push((
+                lights[l as usize].guess(point, normal, reach),
+                Item::Light(l),
+            ));
         }
         if !self.nodes.is_empty() {
             self.open(0, lights, point, normal, reach, items);
@@ -143,7 +154,10 @@ impl LightTree {
         let node = &self.nodes[at as usize];
         match node.link {
             Link::Light(l) => {
-                items.push((lights[l as usize].guess(point, normal, reach), Item::Light(l)));
+                items.push((
+                    lights[l as usize].guess(point, normal, reach),
+                    Item::Light(l),
+                ));
             }
             Link::Children(first) => {
                 let guess = self.guess(at, lights, point, normal, reach);
@@ -169,13 +183,17 @@ impl LightTree {
         }
         let to = node.centre - point;
         let slack = node.radius + reach;
-        let d2 = to.length_squared().max(slack * slack).max(f32::MIN_POSITIVE);
+        let d2 = to
+            .length_squared()
+            .max(slack * slack)
+            .max(f32::MIN_POSITIVE);
         let d = d2.sqrt();
         let here = ((to.dot(normal) + slack) / d).clamp(0.0, 1.0);
         // Facets that face all ways show a quarter of their sum to any side; what is left of
         // their vector sum shows its cosine. The last term keeps every light in the lottery.
         let flat = (node.total - node.round - node.vector.length()).max(0.0);
-        let sent = node.round + 0.25 * flat + (-node.vector.dot(to) / d).max(0.0) + 0.02 * node.total;
+        let sent =
+            node.round + 0.25 * flat + (-node.vector.dot(to) / d).max(0.0) + 0.02 * node.total;
         sent * here / d2
     }
 
@@ -241,5 +259,12 @@ fn leaf(light: &Light, index: u32, centre: Vec3) -> Node {
         LightKind::Luminaire(_) => (strength, Vec3::ZERO, 0.0),
     };
     let round = if vector == Vec3::ZERO { total } else { 0.0 };
-    Node { centre, radius, total, round, vector, link: Link::Light(index) }
+    Node {
+        centre,
+        radius,
+        total,
+        round,
+        vector,
+        link: Link::Light(index),
+    }
 }
