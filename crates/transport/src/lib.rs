@@ -3,6 +3,7 @@
 mod arena;
 mod build;
 pub mod bvh;
+pub mod closed_forms;
 pub mod constant;
 pub mod contract;
 #[cfg(target_arch = "x86_64")]
@@ -15,10 +16,12 @@ pub mod lambert;
 pub mod lines;
 pub mod matrix;
 pub mod monte_carlo;
+pub mod obstructed;
 pub mod polygon_pair;
 pub(crate) mod quadrature;
 mod packet;
 pub mod sampling;
+pub mod strings;
 #[cfg(test)]
 pub(crate) mod testing;
 mod traverse;
