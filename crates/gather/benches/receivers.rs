@@ -87,6 +87,21 @@ fn main() {
             &format!("asked {} %", 100.0 * relative),
         );
     }
+    many_lamps(&pool);
+}
+
+fn many_lamps(pool: &rayon::ThreadPool) {
+    let (scene, front) = corridor();
+    let caster = Bvh::build(&scene);
+    let lights = DirectLights::new(&scene, &front);
+    let (_, seconds) = timed(pool, || {
+        lights.element_irradiance(&scene, &front, &caster, &ElementDirect::default())
+    });
+    println!(
+        "{} elements, {} lamps: direct light {seconds:.2} s",
+        front.len(),
+        lights.len()
+    );
 }
 
 fn timed<T: Send>(pool: &rayon::ThreadPool, job: impl FnOnce() -> T + Send) -> (T, f64) {
@@ -154,6 +169,34 @@ fn room(cells: u32) -> (Arc<Scene>, Front) {
             cells / 6,
         );
     }
+    let lamps = [2.0, 5.4].map(|x| ([x, 2.7, 2.95].into(), Vec3::Y * 0.6, Vec3::X * 0.6, 2));
+    assemble(sides, &lamps)
+}
+
+/// 100 cells of 4 x 4 x 3 m in a row, open to each other beside a partition, a lamp in each.
+fn corridor() -> (Arc<Scene>, Front) {
+    let (mut sides, mut lamps) = (Vec::new(), Vec::new());
+    for k in 0..100 {
+        let o = Vec3::X * (4.0 * k as f32);
+        let (x, y, z) = (Vec3::X * 4.0, Vec3::Y * 4.0, Vec3::Z * 3.0);
+        sides.extend([
+            (o, x, y, 25),
+            (o + z, y, x, 25),
+            (o, z, x, 25),
+            (o + y, x, z, 25),
+        ]);
+        sides.push((o, Vec3::Y * 2.5, z, 1));
+        lamps.push((
+            o + Vec3::new(1.7, 1.7, 2.95),
+            Vec3::Y * 0.6,
+            Vec3::X * 0.6,
+            2,
+        ));
+    }
+    assemble(sides, &lamps)
+}
+
+fn assemble(mut sides: Vec<Sheet>, lamps: &[Sheet]) -> (Arc<Scene>, Front) {
     let mut scene = Scene {
         up: Vec3::Z,
         ..Scene::default()
@@ -171,10 +214,8 @@ fn room(cells: u32) -> (Arc<Scene>, Front) {
         emission: Some(emission),
         ..Finish::default()
     });
-    for x in [2.0, 5.4] {
-        sides.push(([x, 2.7, 2.95].into(), Vec3::Y * 0.6, Vec3::X * 0.6, 2));
-    }
-    let lamps_from = sides.len() - 2;
+    let lamps_from = sides.len();
+    sides.extend_from_slice(lamps);
     for (k, &(corner, u, v, _)) in sides.iter().enumerate() {
         let first = scene.positions.len() as u32;
         scene
