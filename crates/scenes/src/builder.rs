@@ -27,7 +27,10 @@ pub struct Place {
 
 impl Place {
     /// World coordinates.
-    pub const WORLD: Place = Place { origin: Vec3::ZERO, turn_deg: 0.0 };
+    pub const WORLD: Place = Place {
+        origin: Vec3::ZERO,
+        turn_deg: 0.0,
+    };
 
     /// A place on the floor or anywhere else.
     pub const fn new(origin: Vec3, turn_deg: f32) -> Self {
@@ -39,10 +42,12 @@ impl Place {
         let (s, c) = (self.turn_deg as f64).to_radians().sin_cos();
         let (x, z) = (p.x as f64, p.z as f64);
         let micrometre = |v: f64| ((v * 1e6).round() / 1e6) as f32;
+        // 60.0 m as a product in f32 may be 4 micrometres off: neighbours would not meet.
+        let snapped = |v: f32| (v as f64 * 1e5).round() / 1e5;
         Vec3::new(
-            micrometre(c * x + s * z + self.origin.x as f64),
-            micrometre(p.y as f64 + self.origin.y as f64),
-            micrometre(c * z - s * x + self.origin.z as f64),
+            micrometre(c * x + s * z + snapped(self.origin.x)),
+            micrometre(p.y as f64 + snapped(self.origin.y)),
+            micrometre(c * z - s * x + snapped(self.origin.z)),
         )
     }
 
@@ -101,7 +106,11 @@ impl Builder {
     /// An empty scene, y up.
     pub fn new(name: &str) -> Self {
         Builder {
-            scene: Scene { name: name.into(), up: Vec3::Y, ..Scene::default() },
+            scene: Scene {
+                name: name.into(),
+                up: Vec3::Y,
+                ..Scene::default()
+            },
             index_of_point: HashMap::new(),
             pieces: Vec::new(),
             piece_of_name: HashMap::new(),
@@ -126,14 +135,23 @@ impl Builder {
     /// Adds a finish of one diffuse reflectance, per band.
     pub fn matte(&mut self, name: &str, r: f32, g: f32, b: f32) -> FinishId {
         let reflectance = Rgb::new(r, g, b);
-        self.finish(Finish { name: name.into(), reflectance, ..Finish::default() })
+        self.finish(Finish {
+            name: name.into(),
+            reflectance,
+            ..Finish::default()
+        })
     }
 
     /// Adds a matte finish that reflects on both sides: leaves, paper, lamp shades.
     pub fn thin(&mut self, name: &str, r: f32, g: f32, b: f32) -> FinishId {
         let reflectance = Rgb::new(r, g, b);
         let name = name.into();
-        self.finish(Finish { name, reflectance, back_reflects: true, ..Finish::default() })
+        self.finish(Finish {
+            name,
+            reflectance,
+            back_reflects: true,
+            ..Finish::default()
+        })
     }
 
     /// Adds a finish with a picture, dimmed or brightened so that its mean reflectance is `mean`.
@@ -142,7 +160,12 @@ impl Builder {
         let reflectance = Rgb::splat(mean / own);
         debug_assert!(reflectance.r <= 1.0, "{name}: the picture is too dark");
         let texture = Some(texture);
-        self.finish(Finish { name: name.into(), reflectance, texture, ..Finish::default() })
+        self.finish(Finish {
+            name: name.into(),
+            reflectance,
+            texture,
+            ..Finish::default()
+        })
     }
 
     /// Adds clear glass.
@@ -173,7 +196,11 @@ impl Builder {
         self.finish(Finish {
             name: name.into(),
             reflectance: Rgb::splat(reflectance),
-            emission: Some(Emission { luminance, texture: None, group }),
+            emission: Some(Emission {
+                luminance,
+                texture: None,
+                group,
+            }),
             ..Finish::default()
         })
     }
@@ -354,7 +381,11 @@ impl Builder {
     pub fn ball(&mut self, centre: Vec3, radius: f32, rings: usize, sides: usize) -> &mut Self {
         let level = |k: usize| {
             let angle = std::f32::consts::PI * k as f32 / rings as f32;
-            ring(centre - Vec3::Y * radius * angle.cos(), radius * angle.sin(), sides)
+            ring(
+                centre - Vec3::Y * radius * angle.cos(),
+                radius * angle.sin(),
+                sides,
+            )
         };
         let (south, north) = (centre - Vec3::Y * radius, centre + Vec3::Y * radius);
         for k in 0..rings {
@@ -386,11 +417,15 @@ impl Builder {
                 if self.scene.finishes[piece.finish.index()].texture.is_some() {
                     self.scene.uvs.extend(piece.uvs);
                 } else {
-                    self.scene.uvs.extend(piece.uvs.iter().map(|_| [Vec2::ZERO; 3]));
+                    self.scene
+                        .uvs
+                        .extend(piece.uvs.iter().map(|_| [Vec2::ZERO; 3]));
                 }
             }
             self.scene.triangles.extend(piece.triangles);
-            self.scene.surface_of.extend((0..count).map(|_| SurfaceId::from(surface)));
+            self.scene
+                .surface_of
+                .extend((0..count).map(|_| SurfaceId::from(surface)));
             self.scene.source_triangle.extend(0..count);
             self.scene.surfaces.push(Surface {
                 name: piece.name,
@@ -402,7 +437,9 @@ impl Builder {
             });
         }
         if self.scene.groups.is_empty() {
-            self.scene.groups.push(Group { name: "dark".into() });
+            self.scene.groups.push(Group {
+                name: "dark".into(),
+            });
         }
         self.scene
     }
@@ -415,7 +452,8 @@ pub fn luminance_of(flux_lm: f32, area_m2: f32) -> f32 {
 
 /// Random number 0..1 from a seed and an index; the same everywhere [Steele14, SplitMix64].
 pub fn random(seed: u64, index: u64) -> f32 {
-    let mut z = seed.wrapping_mul(0xd134_2543_de82_ef95) ^ index.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mut z =
+        seed.wrapping_mul(0xd134_2543_de82_ef95) ^ index.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = z.wrapping_add(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -434,16 +472,35 @@ fn ring(centre: Vec3, radius: f32, sides: usize) -> Vec<Vec3> {
 
 fn block_faces(a: Vec3, b: Vec3) -> [(u8, [Vec3; 4]); 6] {
     let p = |x: bool, y: bool, z: bool| {
-        at(if x { b.x } else { a.x }, if y { b.y } else { a.y }, if z { b.z } else { a.z })
+        at(
+            if x { b.x } else { a.x },
+            if y { b.y } else { a.y },
+            if z { b.z } else { a.z },
+        )
     };
     let (o, l) = (false, true);
     [
-        (faces::LEFT, [p(o, o, o), p(o, o, l), p(o, l, l), p(o, l, o)]),
-        (faces::RIGHT, [p(l, o, l), p(l, o, o), p(l, l, o), p(l, l, l)]),
-        (faces::BOTTOM, [p(o, o, o), p(l, o, o), p(l, o, l), p(o, o, l)]),
+        (
+            faces::LEFT,
+            [p(o, o, o), p(o, o, l), p(o, l, l), p(o, l, o)],
+        ),
+        (
+            faces::RIGHT,
+            [p(l, o, l), p(l, o, o), p(l, l, o), p(l, l, l)],
+        ),
+        (
+            faces::BOTTOM,
+            [p(o, o, o), p(l, o, o), p(l, o, l), p(o, o, l)],
+        ),
         (faces::TOP, [p(o, l, l), p(l, l, l), p(l, l, o), p(o, l, o)]),
-        (faces::BACK, [p(l, o, o), p(o, o, o), p(o, l, o), p(l, l, o)]),
-        (faces::FRONT, [p(o, o, l), p(l, o, l), p(l, l, l), p(o, l, l)]),
+        (
+            faces::BACK,
+            [p(l, o, o), p(o, o, o), p(o, l, o), p(l, l, o)],
+        ),
+        (
+            faces::FRONT,
+            [p(o, o, l), p(l, o, l), p(l, l, l), p(o, l, l)],
+        ),
     ]
 }
 
@@ -467,14 +524,20 @@ fn ears(points: &[Vec3]) -> Vec<[usize; 3]> {
         let mut best: Option<(f32, usize)> = None;
         for i in 0..n {
             let [a, b, c] = [left[(i + n - 1) % n], left[i], left[(i + 1) % n]].map(|k| points[k]);
-            let long = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+            let long = (b - a)
+                .length_squared()
+                .max((c - b).length_squared())
+                .max((a - c).length_squared());
             let quality = area(a, b, c) / long;
             // A corner on the ear's rim blocks it too: cutting there would leave a T-vertex.
             let blocked = || {
-                left.iter().map(|&k| points[k]).filter(|&p| p != a && p != b && p != c).any(|p| {
-                    let tiny = -1e-7 * long;
-                    area(a, b, p) >= tiny && area(b, c, p) >= tiny && area(c, a, p) >= tiny
-                })
+                left.iter()
+                    .map(|&k| points[k])
+                    .filter(|&p| p != a && p != b && p != c)
+                    .any(|p| {
+                        let tiny = -1e-7 * long;
+                        area(a, b, p) >= tiny && area(b, c, p) >= tiny && area(c, a, p) >= tiny
+                    })
             };
             if quality > 1e-6 && best.is_none_or(|(q, _)| quality > q) && !blocked() {
                 best = Some((quality, i));
@@ -500,9 +563,16 @@ mod tests {
             let grey = b.matte("grey", 0.5, 0.5, 0.5);
             let (low, high) = (at(1.0, 2.0, 3.0), at(2.0, 4.0, 6.0));
             b.on("x", grey);
-            if inward { b.room(low, high, faces::ALL) } else { b.block(low, high, faces::ALL) };
+            if inward {
+                b.room(low, high, faces::ALL)
+            } else {
+                b.block(low, high, faces::ALL)
+            };
             let volume = signed_volume(&b.build());
-            assert!((volume - sign * 6.0).abs() < 1e-5, "1 x 2 x 3 m, f32 rounding: {volume}");
+            assert!(
+                (volume - sign * 6.0).abs() < 1e-5,
+                "1 x 2 x 3 m, f32 rounding: {volume}"
+            );
         }
     }
 
@@ -520,9 +590,13 @@ mod tests {
         let grey = b.matte("grey", 0.5, 0.5, 0.5);
         let base = at(3.0, 0.0, 1.0);
         b.on("can", grey).frustum(base, [0.5, 0.5], 2.0, 12);
-        b.disc(base, 0.5, 12, false).disc(base + Vec3::Y * 2.0, 0.5, 12, true);
+        b.disc(base, 0.5, 12, false)
+            .disc(base + Vec3::Y * 2.0, 0.5, 12, true);
         let volume = signed_volume(&b.build());
-        assert!((volume - 1.5).abs() < 1e-4, "12 sides, r 0.5, h 2: exactly 1.5; {volume}");
+        assert!(
+            (volume - 1.5).abs() < 1e-4,
+            "12 sides, r 0.5, h 2: exactly 1.5; {volume}"
+        );
     }
 
     #[test]

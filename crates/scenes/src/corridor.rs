@@ -121,8 +121,10 @@ fn shell(b: &mut Builder, kit: &Kit, row: usize, s: Sides) {
         floor.extend([at(WIDTH, 0.0, z1), at(WIDTH, 0.0, z0)]);
     }
     floor.push(at(WIDTH, 0.0, 0.0));
-    b.on(&format!("row {}: floor", row + 1), kit.floor).polygon(&floor);
-    b.on(&format!("row {}: ceiling", row + 1), kit.ceiling).room(low, high, TOP);
+    b.on(&format!("row {}: floor", row + 1), kit.floor)
+        .polygon(&floor);
+    b.on(&format!("row {}: ceiling", row + 1), kit.ceiling)
+        .room(low, high, TOP);
     b.on(&format!("row {}: walls", row + 1), kit.wall);
     for (end, bit) in [(s.low_end, BACK), (s.high_end, FRONT)] {
         if end {
@@ -134,9 +136,16 @@ fn shell(b: &mut Builder, kit: &Kit, row: usize, s: Sides) {
             b.room(low, high, bit);
             continue;
         }
-        let mut wall = [(0.0, 0.0), (z0, 0.0), (z0, HEAD), (z1, HEAD), (z1, 0.0), (LENGTH, 0.0)]
-            .map(|(z, y)| at(x, y, z))
-            .to_vec();
+        let mut wall = [
+            (0.0, 0.0),
+            (z0, 0.0),
+            (z0, HEAD),
+            (z1, HEAD),
+            (z1, 0.0),
+            (LENGTH, 0.0),
+        ]
+        .map(|(z, y)| at(x, y, z))
+        .to_vec();
         wall.extend([at(x, HEIGHT, LENGTH), at(x, HEIGHT, 0.0)]);
         if bit == LEFT {
             wall.reverse();
@@ -146,7 +155,8 @@ fn shell(b: &mut Builder, kit: &Kit, row: usize, s: Sides) {
     if s.right_open {
         let lining = [at(WIDTH, 0.0, z0), at(WIDTH + THICK, HEAD, z1)];
         b.room(lining[0], lining[1], TOP | BACK | FRONT);
-        b.on(&format!("row {}: floor", row + 1), kit.floor).room(lining[0], lining[1], BOTTOM);
+        b.on(&format!("row {}: floor", row + 1), kit.floor)
+            .room(lining[0], lining[1], BOTTOM);
     }
 }
 
@@ -160,34 +170,51 @@ fn furnish(b: &mut Builder, kit: &Kit, row: usize, bay: u64, s: Sides) {
             levels: 5,
             wood: kit.wood,
             books: &kit.books,
-            full: 0.42,
+            full: 0.265,
             seed: 100 + bay,
         };
-        put::bookshelf(b, &name("shelves"), Place::new(at(0.02, 0.0, 1.1), 90.0), &shelf);
+        put::bookshelf(
+            b,
+            &name("shelves"),
+            Place::new(at(0.02, 0.0, 1.1), 90.0),
+            &shelf,
+        );
     }
     if !s.right_open {
         let wall = Place::new(at(WIDTH, 0.0, 0.62), -90.0);
         put::closed_door(b, &name("doors"), wall, kit.wood, kit.metal);
-        notices(b, kit, &name("notices"), Place::new(at(WIDTH, 1.5, 1.8), -90.0));
+        notices(
+            b,
+            kit,
+            &name("notices"),
+            Place::new(at(WIDTH, 1.5, 1.8), -90.0),
+        );
     }
     let spot = Place::new(at(WIDTH - 0.24, 0.0, 2.16), 0.0);
     put::plant(b, &name("plants"), spot, kit.plant, [0.8, 36.0], 900 + bay);
     // An open bin: both sides of its wall are seen, and its bottom lies above the floor.
     b.on(&name("bins"), kit.bin);
     let foot = at(WIDTH - 0.22, 0.0, 1.32);
-    b.frustum(foot, [0.1, 0.13], 0.3, 12).disc(foot + Vec3::Y * 0.01, 0.101, 12, true);
-    b.on(&name("benches"), kit.wood).inside(Place::new(at(WIDTH - 0.2, 0.0, 1.68), 90.0), |b| {
-        b.block(at(-0.2, 0.4, -0.16), at(0.2, 0.43, 0.16), ALL);
-        for x in [-0.17, 0.17] {
-            b.block(at(x - 0.015, 0.0, -0.14), at(x + 0.015, 0.4, 0.14), faces::POST);
-        }
-    });
+    b.frustum(foot, [0.1, 0.13], 0.3, 12)
+        .disc(foot + Vec3::Y * 0.01, 0.101, 12, true);
+    b.on(&name("benches"), kit.wood)
+        .inside(Place::new(at(WIDTH - 0.2, 0.0, 1.68), 90.0), |b| {
+            b.block(at(-0.2, 0.4, -0.16), at(0.2, 0.43, 0.16), ALL);
+            for x in [-0.17, 0.17] {
+                b.block(
+                    at(x - 0.015, 0.0, -0.14),
+                    at(x + 0.015, 0.4, 0.14),
+                    faces::POST,
+                );
+            }
+        });
 }
 
 /// A board with papers, a millimetre thick each.
 fn notices(b: &mut Builder, kit: &Kit, name: &str, place: Place) {
     b.inside(place, |b| {
-        b.on(name, kit.wood).block(at(-0.4, -0.3, 0.0), at(0.4, 0.3, 0.015), ALL & !BACK);
+        b.on(name, kit.wood)
+            .block(at(-0.4, -0.3, 0.0), at(0.4, 0.3, 0.015), ALL & !BACK);
         b.on(name, kit.paper);
         for i in 0..4 {
             for j in 0..2 {

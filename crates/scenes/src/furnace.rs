@@ -14,12 +14,22 @@ pub fn furnace(rho: f32) -> Scene {
     let mut b = Builder::new("furnace");
     let all = glowing(&mut b, rho);
     let (low, high) = (at(-2.0, 0.0, -1.5), at(2.0, 2.5, 1.5));
-    b.on("walls and ceiling", all).room(low, high, faces::ALL & !faces::BOTTOM);
+    b.on("walls and ceiling", all)
+        .room(low, high, faces::ALL & !faces::BOTTOM);
 
     // The block's foot, turned by a 3-4-5 triangle so that its corners are exact.
-    let foot = [at(0.5, 0.0, 0.1), at(0.1, 0.0, 0.4), at(-0.5, 0.0, -0.4), at(-0.1, 0.0, -0.7)];
-    let corners =
-        [at(low.x, 0.0, low.z), at(low.x, 0.0, high.z), at(high.x, 0.0, high.z), at(high.x, 0.0, low.z)];
+    let foot = [
+        at(0.5, 0.0, 0.1),
+        at(0.1, 0.0, 0.4),
+        at(-0.5, 0.0, -0.4),
+        at(-0.1, 0.0, -0.7),
+    ];
+    let corners = [
+        at(low.x, 0.0, low.z),
+        at(low.x, 0.0, high.z),
+        at(high.x, 0.0, high.z),
+        at(high.x, 0.0, low.z),
+    ];
     // Foot corners face, in turn, the room's right front, left front, left back, right back.
     let facing = [2, 1, 0, 3];
     b.on("floor", all);
@@ -43,7 +53,14 @@ pub fn furnace(rho: f32) -> Scene {
 /// Reflectances in the order x low, x high, floor, ceiling, z low, z high.
 pub fn closed_box(w: f32, d: f32, h: f32, reflectances: [f32; 6]) -> Scene {
     let mut b = Builder::new("closed box");
-    let names = ["left wall", "right wall", "floor", "ceiling", "back wall", "front wall"];
+    let names = [
+        "left wall",
+        "right wall",
+        "floor",
+        "ceiling",
+        "back wall",
+        "front wall",
+    ];
     let bits = [
         faces::LEFT,
         faces::RIGHT,

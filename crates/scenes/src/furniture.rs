@@ -9,10 +9,18 @@ use luxel_core::{FinishId, Vec3};
 pub fn table(b: &mut Builder, name: &str, place: Place, w: f32, d: f32, wood: FinishId) {
     b.inside(place, |b| {
         b.on(name, wood);
-        b.block(at(-w / 2.0, 0.715, -d / 2.0), at(w / 2.0, 0.75, d / 2.0), ALL);
+        b.block(
+            at(-w / 2.0, 0.715, -d / 2.0),
+            at(w / 2.0, 0.75, d / 2.0),
+            ALL,
+        );
         let (x, z) = (w / 2.0 - 0.08, d / 2.0 - 0.08);
         for (x, z) in [(-x, -z), (x, -z), (-x, z), (x, z)] {
-            b.block(at(x - 0.03, 0.0, z - 0.03), at(x + 0.03, 0.715, z + 0.03), POST);
+            b.block(
+                at(x - 0.03, 0.0, z - 0.03),
+                at(x + 0.03, 0.715, z + 0.03),
+                POST,
+            );
         }
     });
 }
@@ -24,10 +32,18 @@ pub fn chair(b: &mut Builder, name: &str, place: Place, wood: FinishId, seat: Fi
         for x in [-0.19, 0.19] {
             b.block(at(x - 0.018, 0.0, 0.17), at(x + 0.018, 0.43, 0.206), POST);
             b.block(at(x - 0.018, 0.0, -0.216), at(x + 0.018, 0.43, -0.18), POST);
-            b.block(at(x - 0.018, 0.46, -0.216), at(x + 0.018, 0.86, -0.18), STANDING);
+            b.block(
+                at(x - 0.018, 0.46, -0.216),
+                at(x + 0.018, 0.86, -0.18),
+                STANDING,
+            );
         }
         for y in [0.58, 0.74] {
-            b.block(at(-0.172, y, -0.208), at(0.172, y + 0.08, -0.19), FRONT | BACK | TOP | BOTTOM);
+            b.block(
+                at(-0.172, y, -0.208),
+                at(0.172, y + 0.08, -0.19),
+                FRONT | BACK | TOP | BOTTOM,
+            );
         }
         b.on(&format!("{name}: seat"), seat);
         b.block(at(-0.22, 0.43, -0.23), at(0.22, 0.46, 0.22), ALL);
@@ -45,7 +61,11 @@ pub fn office_chair(b: &mut Builder, name: &str, place: Place, metal: FinishId, 
                 b.block(at(0.26, 0.0, -0.015), at(0.28, 0.05, 0.015), POST);
             });
         }
-        b.block(at(-0.03, 0.40, -0.29), at(0.03, 0.43, -0.04), ALL & !TOP);
+        b.block(
+            at(-0.03, 0.40, -0.29),
+            at(0.03, 0.43, -0.04),
+            ALL & !TOP & !BACK,
+        );
         b.block(at(-0.03, 0.40, -0.31), at(0.03, 0.60, -0.29), ALL);
         b.on(&format!("{name}: seat"), cloth);
         b.block(at(-0.24, 0.43, -0.23), at(0.24, 0.50, 0.24), ALL);
@@ -80,10 +100,18 @@ pub fn bookshelf(b: &mut Builder, name: &str, place: Place, shelf: &Bookshelf) {
         b.block(at(right, 0.0, 0.0), at(right + t, h - t, d), POST);
         b.block(at(left - t, h - t, 0.0), at(right + t, h, d), ALL);
         b.block(at(left, 0.0, 0.0), at(right, h - t, 0.01), FRONT | BACK);
-        b.block(at(left, 0.0, d - 0.04), at(right, 0.08 - t, d - 0.02), FRONT | BACK);
+        b.block(
+            at(left, 0.0, d - 0.04),
+            at(right, 0.08 - t, d - 0.02),
+            FRONT | BACK,
+        );
         for level in 0..shelf.levels {
             let y = 0.08 + level as f32 * clear;
-            b.block(at(left, y - t, 0.01), at(right, y, d - 0.005), FRONT | TOP | BOTTOM);
+            b.block(
+                at(left, y - t, 0.01),
+                at(right, y, d - 0.005),
+                FRONT | TOP | BOTTOM,
+            );
         }
     });
     for level in 0..shelf.levels {
@@ -102,7 +130,11 @@ pub fn bookshelf(b: &mut Builder, name: &str, place: Place, shelf: &Bookshelf) {
             let finish = shelf.books[(pick * shelf.books.len() as f32) as usize];
             b.on(&format!("{name}: books"), finish).inside(place, |b| {
                 let front = d - 0.03;
-                b.block(at(x, y, front - depth), at(x + thickness, y + height, front), STANDING);
+                b.block(
+                    at(x, y, front - depth),
+                    at(x + thickness, y + height, front),
+                    STANDING,
+                );
             });
             x += thickness + 0.0015;
             n += 1;
@@ -115,12 +147,20 @@ pub fn sofa(b: &mut Builder, name: &str, place: Place, w: f32, cloth: FinishId, 
     let x = w / 2.0 - 0.16;
     b.inside(place, |b| {
         b.on(name, cloth);
-        b.block(at(-x, 0.10, -0.44), at(x, 0.28, 0.40), FRONT | BACK | TOP | BOTTOM);
-        b.block(at(-x + 0.005, 0.28, -0.42), at(x - 0.005, 0.80, -0.22), STANDING);
+        b.block(
+            at(-x, 0.10, -0.44),
+            at(x, 0.28, 0.40),
+            FRONT | BACK | TOP | BOTTOM,
+        );
+        b.block(
+            at(-x + 0.005, 0.28, -0.42),
+            at(x - 0.005, 0.80, -0.22),
+            STANDING,
+        );
         b.block(at(-x - 0.16, 0.10, -0.45), at(-x, 0.58, 0.42), ALL);
         b.block(at(x, 0.10, -0.45), at(x + 0.16, 0.58, 0.42), ALL);
         for (low, high) in [(-x + 0.01, -0.005), (0.005, x - 0.01)] {
-            b.block(at(low, 0.28, -0.205), at(high, 0.43, 0.43), ALL);
+            b.block(at(low, 0.281, -0.205), at(high, 0.43, 0.43), ALL);
         }
         b.on(&format!("{name}: feet"), feet);
         for (x, z) in [(-x, -0.38), (x, -0.38), (-x, 0.34), (x, 0.34)] {
@@ -144,7 +184,8 @@ pub fn plant(
         b.on(&format!("{name}: pot"), pot);
         b.frustum(Vec3::ZERO, [rim * 0.72, rim], pot_height, sides);
         let level = Vec3::Y * pot_height;
-        b.on(&format!("{name}: soil"), soil).disc(level, rim, sides, true);
+        b.on(&format!("{name}: soil"), soil)
+            .disc(level, rim, sides, true);
         b.on(&format!("{name}: leaves"), leaf);
         for k in 0..leaves as u64 {
             let [turn, rise, size, root] = [1, 2, 3, 4].map(|j| random(seed, 8 * k + j));
@@ -180,7 +221,11 @@ pub fn ceiling_panel(
     let (x, z, rim, y) = (w / 2.0, d / 2.0, 0.015, -0.04);
     b.inside(place, |b| {
         b.on(&format!("{name}: frame"), frame);
-        b.block(at(-x - rim, y, -z - rim), at(x + rim, 0.0, z + rim), HANGING & !BOTTOM);
+        b.block(
+            at(-x - rim, y, -z - rim),
+            at(x + rim, 0.0, z + rim),
+            HANGING & !BOTTOM,
+        );
         let outer = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
             .map(|(i, k): (f32, f32)| at(i * (x + rim), y, k * (z + rim)));
         let inner = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
@@ -203,9 +248,15 @@ pub fn globe(
 ) {
     b.inside(place, |b| {
         b.on(&format!("{name}: cable"), cable);
-        b.frustum(at(0.0, radius + 0.04, 0.0), [0.004, 0.004], drop - radius - 0.04, 6);
+        b.frustum(
+            at(0.0, radius + 0.04, 0.0),
+            [0.004, 0.004],
+            drop - radius - 0.04,
+            6,
+        );
         let cap = at(0.0, radius - 0.01, 0.0);
-        b.frustum(cap, [0.05, 0.03], 0.05, 12).disc(cap + Vec3::Y * 0.05, 0.03, 12, true);
+        b.frustum(cap, [0.05, 0.03], 0.05, 12)
+            .disc(cap + Vec3::Y * 0.05, 0.03, 12, true);
         b.on(name, light).ball(Vec3::ZERO, radius, 12, 20);
     });
 }
@@ -214,9 +265,16 @@ pub fn globe(
 pub fn floor_lamp(b: &mut Builder, name: &str, place: Place, metal: FinishId, shade: FinishId) {
     b.inside(place, |b| {
         b.on(&format!("{name}: stand"), metal);
-        b.frustum(Vec3::ZERO, [0.15, 0.14], 0.025, 20).disc(at(0.0, 0.025, 0.0), 0.14, 20, true);
-        b.frustum(at(0.0, 0.025, 0.0), [0.011, 0.011], 1.4, 8).disc(at(0.0, 1.425, 0.0), 0.011, 8, true);
-        b.on(name, shade).frustum(at(0.0, 1.28, 0.0), [0.23, 0.17], 0.30, 24);
+        b.frustum(Vec3::ZERO, [0.15, 0.14], 0.025, 20)
+            .disc(at(0.0, 0.025, 0.0), 0.14, 20, true);
+        b.frustum(at(0.0, 0.025, 0.0), [0.011, 0.011], 1.4, 8).disc(
+            at(0.0, 1.425, 0.0),
+            0.011,
+            8,
+            true,
+        );
+        b.on(name, shade)
+            .frustum(at(0.0, 1.28, 0.0), [0.23, 0.17], 0.30, 24);
     });
 }
 
@@ -235,7 +293,11 @@ pub fn framed(
         let outer = signs.map(|(i, j): (f32, f32)| at(i * (x + rim), j * (y + rim), front));
         let inner = signs.map(|(i, j): (f32, f32)| at(i * x, j * y, front));
         let sunk = inner.map(|p| at(p.x, p.y, back));
-        b.block(at(-x - rim, -y - rim, 0.0), at(x + rim, y + rim, front), ALL & !FRONT & !BACK);
+        b.block(
+            at(-x - rim, -y - rim, 0.0),
+            at(x + rim, y + rim, front),
+            ALL & !FRONT & !BACK,
+        );
         for i in 0..4 {
             let j = (i + 1) % 4;
             b.polygon(&[outer[i], outer[j], inner[j], inner[i]]);
@@ -252,7 +314,11 @@ pub fn closed_door(b: &mut Builder, name: &str, place: Place, leaf: FinishId, me
         b.block(at(-0.45, 0.005, 0.004), at(0.45, 2.05, 0.03), ALL);
         casing(b, [-0.455, 0.455], 2.055);
         b.on(&format!("{name}: handle"), metal);
-        b.block(at(0.34, 1.02, 0.03), at(0.36, 1.04, 0.08), POST & !BACK | TOP | BOTTOM);
+        b.block(
+            at(0.34, 1.02, 0.03),
+            at(0.36, 1.04, 0.08),
+            POST & !BACK | TOP | BOTTOM,
+        );
         b.block(at(0.24, 1.02, 0.081), at(0.37, 1.04, 0.096), ALL);
     });
 }
@@ -261,12 +327,25 @@ pub fn closed_door(b: &mut Builder, name: &str, place: Place, leaf: FinishId, me
 /// current surface.
 pub fn casing(b: &mut Builder, [low, high]: [f32; 2], head: f32) {
     let (rim, front) = (0.07, 0.018);
-    b.block(at(low - rim, 0.0, 0.0), at(low, head, front), LEFT | RIGHT | FRONT);
-    b.block(at(high, 0.0, 0.0), at(high + rim, head, front), LEFT | RIGHT | FRONT);
-    b.block(at(low - rim, head, 0.0), at(high + rim, head + rim, front), ALL & !BACK);
+    b.block(
+        at(low - rim, 0.0, 0.0),
+        at(low, head, front),
+        LEFT | RIGHT | FRONT,
+    );
+    b.block(
+        at(high, 0.0, 0.0),
+        at(high + rim, head, front),
+        LEFT | RIGHT | FRONT,
+    );
+    b.block(
+        at(low - rim, head, 0.0),
+        at(high + rim, head + rim, front),
+        ALL & !BACK,
+    );
 }
 
-/// A row of skirting from `low` to `high` along x on a wall that looks towards +z.
+/// A row of skirting from `low` to `high` along x on a wall that looks towards +z; something must
+/// stand at both ends, for it has no end faces.
 pub fn skirting(b: &mut Builder, [low, high]: [f32; 2]) {
-    b.block(at(low, 0.0, 0.0), at(high, 0.08, 0.012), FRONT | TOP | LEFT | RIGHT);
+    b.block(at(low, 0.0, 0.0), at(high, 0.08, 0.012), FRONT | TOP);
 }

@@ -10,8 +10,8 @@ pub mod cornell;
 pub mod corridor;
 pub mod furnace;
 pub mod furniture;
-
-
+pub mod gallery;
+pub mod office;
 pub mod pictures;
 pub mod two_rooms;
 pub mod write_glb;
@@ -20,8 +20,8 @@ pub use builder::Builder;
 pub use cornell::cornell;
 pub use corridor::corridor;
 pub use furnace::{closed_box, furnace, l_shaped_furnace};
-
-
+pub use gallery::gallery;
+pub use office::office;
 pub use two_rooms::two_rooms;
 pub use write_glb::{to_glb, to_glb_with_mirrors};
 
@@ -30,7 +30,10 @@ pub fn committed() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("two-rooms", to_glb(&two_rooms())),
         ("cornell", to_glb(&cornell())),
-
-
+        ("office", to_glb(&office())),
+        (
+            "gallery",
+            to_glb_with_mirrors(&gallery(), &[gallery::MIRROR]),
+        ),
     ]
 }

@@ -17,10 +17,18 @@ pub fn planks() -> Texture {
         let tone = 0.82 + 0.30 * random(11, plank);
         let red = 0.97 + 0.06 * random(12, plank);
         // Grain: noise that changes fast across and slowly along the plank.
-        let grain = wave(x as f32 * 0.45 + 31.0 * plank as f32, shifted as f32 * 0.02, 13);
-        let fine = wave(x as f32 * 0.9, shifted as f32 * 0.06 + 7.0 * plank as f32, 14);
+        let grain = wave(
+            x as f32 * 0.45 + 31.0 * plank as f32,
+            shifted as f32 * 0.02,
+            13,
+        );
+        let fine = wave(
+            x as f32 * 0.9,
+            shifted as f32 * 0.06 + 7.0 * plank as f32,
+            14,
+        );
         let wood = tone * (0.90 + 0.16 * grain + 0.06 * fine);
-        let joint = x % width == 0 || shifted % (SIZE / 2) == 0;
+        let joint = x.is_multiple_of(width) || shifted.is_multiple_of(SIZE / 2);
         let light = if joint { 0.62 * wood } else { wood };
         [218.0 * light * red, 172.0 * light, 124.0 * light]
     })
@@ -35,10 +43,14 @@ pub fn hills() -> Texture {
         if sun {
             colour = [250.0, 236.0, 190.0];
         }
-        let ranges =
-            [(0.46, [196.0, 142.0, 128.0]), (0.6, [120.0, 110.0, 124.0]), (0.76, [52.0, 74.0, 86.0])];
+        let ranges = [
+            (0.46, [196.0, 142.0, 128.0]),
+            (0.6, [120.0, 110.0, 124.0]),
+            (0.76, [52.0, 74.0, 86.0]),
+        ];
         for (k, (height, tone)) in ranges.into_iter().enumerate() {
-            let ridge = height + 0.09 * (wave(u * (4.0 + 2.0 * k as f32), 3.0 * k as f32, 21) - 0.5);
+            let ridge =
+                height + 0.09 * (wave(u * (4.0 + 2.0 * k as f32), 3.0 * k as f32, 21) - 0.5);
             if v > ridge {
                 colour = tone;
             }
@@ -69,7 +81,8 @@ pub fn discs() -> Texture {
 /// Rectangles of strong colour between dark bars.
 pub fn grid() -> Texture {
     paint("grid", 96, 96, |x, y| {
-        let bar = [30, 66].iter().any(|&c| x.abs_diff(c) < 3) || [22, 70].iter().any(|&c| y.abs_diff(c) < 3);
+        let bar = [30, 66].iter().any(|&c| x.abs_diff(c) < 3)
+            || [22, 70].iter().any(|&c| y.abs_diff(c) < 3);
         match (bar, x < 30, x > 66, y < 22, y > 70) {
             (true, ..) => [28.0, 28.0, 30.0],
             (_, true, _, true, _) => [190.0, 36.0, 32.0],
@@ -87,7 +100,11 @@ pub fn water() -> Texture {
         let a = wave(u * 5.0 + 2.0 * wave(v * 3.0, u * 2.0, 31), v * 9.0, 32);
         let b = wave(u * 14.0, v * 26.0 + 3.0 * a, 33);
         let crest = if a * 0.7 + b * 0.3 > 0.64 { 60.0 } else { 0.0 };
-        [36.0 + 40.0 * a + crest, 96.0 + 60.0 * a + crest, 128.0 + 50.0 * b + crest]
+        [
+            36.0 + 40.0 * a + crest,
+            96.0 + 60.0 * a + crest,
+            128.0 + 50.0 * b + crest,
+        ]
     })
 }
 
@@ -97,7 +114,10 @@ fn wave(x: f32, y: f32, seed: u64) -> f32 {
     let ease = |t: f32| t * t * (3.0 - 2.0 * t);
     let (fx, fy) = (ease(x - x0), ease(y - y0));
     let lattice = |i: f32, j: f32| {
-        random(seed, ((i as i64 as u64) << 32) ^ (j as i64 as u64 & 0xffff_ffff))
+        random(
+            seed,
+            ((i as i64 as u64) << 32) ^ (j as i64 as u64 & 0xffff_ffff),
+        )
     };
     let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
     mix(
@@ -116,5 +136,11 @@ fn paint(name: &str, width: u32, height: u32, colour: impl Fn(u32, u32) -> [f32;
             [r, g, b, 255]
         })
         .collect();
-    Texture { name: name.into(), width, height, rgba, wrap: [Wrap::Repeat; 2] }
+    Texture {
+        name: name.into(),
+        width,
+        height,
+        rgba,
+        wrap: [Wrap::Repeat; 2],
+    }
 }

@@ -41,8 +41,9 @@ pub fn to_glb_with_mirrors(scene: &Scene, mirrors: &[&str]) -> Vec<u8> {
         .iter()
         .map(|t| json!({"wrapS": wrap(t.wrap[0]), "wrapT": wrap(t.wrap[1])}))
         .collect();
-    let textures: Vec<Value> =
-        (0..scene.textures.len()).map(|i| json!({"sampler": i, "source": i})).collect();
+    let textures: Vec<Value> = (0..scene.textures.len())
+        .map(|i| json!({"sampler": i, "source": i}))
+        .collect();
     let materials: Vec<Value> = scene
         .finishes
         .iter()
@@ -63,14 +64,22 @@ pub fn to_glb_with_mirrors(scene: &Scene, mirrors: &[&str]) -> Vec<u8> {
             "camera": cameras.len(),
             "matrix": matrix(view.eye, view.forward, view.up),
         }));
-        cameras.push(json!({"name": view.name, "type": "perspective", "perspective":
-            {"yfov": exact(view.vertical_angle), "znear": 0.05}}));
+        cameras.push(
+            json!({"name": view.name, "type": "perspective", "perspective":
+            {"yfov": exact(view.vertical_angle), "znear": 0.05}}),
+        );
     }
     let mut lights = Vec::new();
     for lamp in &scene.luminaires {
-        let Some(light) = light(&lamp.name, lamp.kind) else { continue };
+        let Some(light) = light(&lamp.name, lamp.kind) else {
+            continue;
+        };
         file.used.insert("KHR_lights_punctual");
-        let up = if lamp.direction.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
+        let up = if lamp.direction.y.abs() > 0.9 {
+            Vec3::X
+        } else {
+            Vec3::Y
+        };
         let side = lamp.direction.cross(up).normalize();
         nodes.push(json!({
             "name": lamp.name,
@@ -80,11 +89,15 @@ pub fn to_glb_with_mirrors(scene: &Scene, mirrors: &[&str]) -> Vec<u8> {
         lights.push(light);
     }
     if !lights.is_empty() {
-        file.extensions.insert("KHR_lights_punctual".into(), json!({"lights": lights}));
+        file.extensions
+            .insert("KHR_lights_punctual".into(), json!({"lights": lights}));
     }
 
     let mut root = Map::new();
-    root.insert("asset".into(), json!({"version": "2.0", "generator": "luxel-scenes"}));
+    root.insert(
+        "asset".into(),
+        json!({"version": "2.0", "generator": "luxel-scenes"}),
+    );
     root.insert("extensionsUsed".into(), json!(file.used));
     root.insert("extensions".into(), Value::Object(file.extensions));
     root.insert("scene".into(), json!(0));
@@ -174,7 +187,11 @@ impl File {
             let [u, v] = [b - a, c - a].map(|e| e.as_dvec3());
             let normal = u.cross(v).normalize().as_vec3() + Vec3::ZERO;
             for (k, p) in [a, b, c].into_iter().enumerate() {
-                let uv = if pictured { scene.uvs[t][k] } else { Vec2::ZERO };
+                let uv = if pictured {
+                    scene.uvs[t][k]
+                } else {
+                    Vec2::ZERO
+                };
                 let key =
                     [p.x, p.y, p.z, normal.x, normal.y, normal.z, uv.x, uv.y].map(f32::to_bits);
                 indices.push(*index_of.entry(key).or_insert_with(|| {
@@ -203,10 +220,19 @@ impl File {
         }
         // 65535 is the restart index and so may not be used.
         let (component, data) = if count < 65535 {
-            let short = indices.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect();
+            let short = indices
+                .iter()
+                .flat_map(|&i| (i as u16).to_le_bytes())
+                .collect();
             (UNSIGNED_SHORT, short)
         } else {
-            (UNSIGNED_INT, indices.iter().flat_map(|&i| i.to_le_bytes()).collect::<Vec<u8>>())
+            (
+                UNSIGNED_INT,
+                indices
+                    .iter()
+                    .flat_map(|&i| i.to_le_bytes())
+                    .collect::<Vec<u8>>(),
+            )
         };
         let view = self.view(&data, Some(ELEMENT_ARRAY_BUFFER));
         let accessor = self.accessor(view, component, indices.len(), "SCALAR");
@@ -261,9 +287,12 @@ impl File {
 fn light(name: &str, kind: LuminaireKind) -> Option<Value> {
     let (kind, amount, range, cone) = match kind {
         LuminaireKind::Point { intensity, range_m } => ("point", intensity, range_m, None),
-        LuminaireKind::Spot { intensity, range_m, cos_inner, cos_outer } => {
-            ("spot", intensity, range_m, Some((cos_inner, cos_outer)))
-        }
+        LuminaireKind::Spot {
+            intensity,
+            range_m,
+            cos_inner,
+            cos_outer,
+        } => ("spot", intensity, range_m, Some((cos_inner, cos_outer))),
         LuminaireKind::Directional { illuminance } => {
             ("directional", illuminance, f32::INFINITY, None)
         }
@@ -299,13 +328,23 @@ fn matrix(place: Vec3, forward: Vec3, up: Vec3) -> Value {
 }
 
 fn bands(amount: Rgb, strength: f32) -> Value {
-    let share = |v: f32| if strength > 0.0 { decimal(v / strength) } else { json!(0) };
+    let share = |v: f32| {
+        if strength > 0.0 {
+            decimal(v / strength)
+        } else {
+            json!(0)
+        }
+    };
     Value::Array(amount.to_array().map(share).to_vec())
 }
 
 /// The shortest decimal that reads back as the same `f32`: 0.3, not 0.30000001192092896.
 fn decimal(v: f32) -> Value {
-    json!(v.to_string().parse::<f64>().expect("a number prints as a number"))
+    json!(
+        v.to_string()
+            .parse::<f64>()
+            .expect("a number prints as a number")
+    )
 }
 
 /// The number itself, for what readers compare or renormalise.
@@ -336,7 +375,14 @@ fn png(texture: &Texture) -> Vec<u8> {
     let encoder =
         PngEncoder::new_with_quality(&mut out, CompressionType::Best, FilterType::Adaptive);
     let (data, colour): (Vec<u8>, _) = if opaque {
-        (texture.rgba.iter().flat_map(|t| [t[0], t[1], t[2]]).collect(), ExtendedColorType::Rgb8)
+        (
+            texture
+                .rgba
+                .iter()
+                .flat_map(|t| [t[0], t[1], t[2]])
+                .collect(),
+            ExtendedColorType::Rgb8,
+        )
     } else {
         (texture.rgba.concat(), ExtendedColorType::Rgba8)
     };
