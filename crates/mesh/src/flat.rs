@@ -37,12 +37,16 @@ pub(crate) const NONE: u32 = u32::MAX;
 
 /// For each triangle the neighbour of the same surface across edge k (corner k to k + 1), or
 /// `NONE`: open edge, more than two triangles at it, or the neighbour is wound the other way.
-pub(crate) fn adjacency(scene: &Scene, wanted: &[bool]) -> Vec<[u32; 3]> {
-    let mut edges: Vec<(u64, u32)> = (0..scene.triangles.len())
+pub(crate) fn adjacency(
+    corners: &[[u32; 3]],
+    surface_of: &[SurfaceId],
+    wanted: &[bool],
+) -> Vec<[u32; 3]> {
+    let mut edges: Vec<(u64, u32)> = (0..corners.len())
         .into_par_iter()
         .filter(|&t| wanted[t])
         .flat_map_iter(|t| {
-            let c = scene.triangles[t];
+            let c = corners[t];
             (0..3).map(move |k| {
                 let (a, b) = (c[k], c[(k + 1) % 3]);
                 let key = ((a.min(b) as u64) << 32) | a.max(b) as u64;
@@ -51,15 +55,15 @@ pub(crate) fn adjacency(scene: &Scene, wanted: &[bool]) -> Vec<[u32; 3]> {
         })
         .collect();
     edges.par_sort_unstable();
-    let mut next = vec![[NONE; 3]; scene.triangles.len()];
+    let mut next = vec![[NONE; 3]; corners.len()];
     for run in edges.chunk_by(|a, b| a.0 == b.0) {
         // Surfaces may share indices; sorted by triangle, those of one surface stand together.
-        for same in run.chunk_by(|a, b| {
-            scene.surface_of[a.1 as usize / 3] == scene.surface_of[b.1 as usize / 3]
-        }) {
+        for same in
+            run.chunk_by(|a, b| surface_of[a.1 as usize / 3] == surface_of[b.1 as usize / 3])
+        {
             if let [(_, x), (_, y)] = *same {
                 let (t, i, o, j) = (x / 3, x as usize % 3, y / 3, y as usize % 3);
-                if t != o && scene.triangles[t as usize][i] != scene.triangles[o as usize][j] {
+                if t != o && corners[t as usize][i] != corners[o as usize][j] {
                     next[t as usize][i] = o;
                     next[o as usize][j] = t;
                 }
@@ -70,22 +74,28 @@ pub(crate) fn adjacency(scene: &Scene, wanted: &[bool]) -> Vec<[u32; 3]> {
 }
 
 /// Plane through a triangle, for the test whether others lie in it.
-struct Plane {
-    normal: DVec3,
-    origin: DVec3,
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Plane {
+    pub normal: DVec3,
+    pub origin: DVec3,
     size: f64,
 }
 
 impl Plane {
-    fn of(scene: &Scene, triangle: u32) -> Plane {
+    pub fn of(scene: &Scene, triangle: u32) -> Plane {
         let [a, b, c] = scene.corners(triangle as usize).map(|p| p.as_dvec3());
         let n = (b - a).cross(c - a);
         Plane { normal: n.normalize_or_zero(), origin: a, size: n.length().sqrt() }
     }
 
+    /// Signed distance of a point, metres.
+    pub fn distance(&self, p: DVec3) -> f64 {
+        (p - self.origin).dot(self.normal)
+    }
+
     /// Within what rounding of the coordinates to f32 explains: two units in the last place,
     /// enlarged by extrapolation from this triangle.
-    fn holds(&self, p: Vec3) -> bool {
+    pub fn holds(&self, p: Vec3) -> bool {
         let rel = p.as_dvec3() - self.origin;
         let ulp = p.abs().max_element().max(self.origin.abs().max_element() as f32) as f64 * 1.2e-7;
         let far = 1.0 + rel.length() / self.size.max(1e-30);
@@ -95,7 +105,7 @@ impl Plane {
 
 /// Joins the `wanted` triangles into flat shapes. Deterministic; near-linear time.
 pub(crate) fn flats(scene: &Scene, wanted: &[bool]) -> Flats {
-    let next = adjacency(scene, wanted);
+    let next = adjacency(&scene.triangles, &scene.surface_of, wanted);
     let mut out = Flats::default();
     let mut region_of = vec![NONE; scene.triangles.len()];
     // Large triangles first: the plane of a sliver is uncertain.

@@ -5,12 +5,15 @@
 
 pub mod adaptive;
 mod cluster;
+mod contact;
 pub mod contract;
+mod cut;
 pub mod dense;
 mod flat;
 pub mod hierarchy;
 pub mod kinds;
 mod neighbours;
+pub mod prepare;
 pub mod shade;
 pub mod sides;
 pub mod uniform;
@@ -20,5 +23,6 @@ pub use contract::{MeshSettings, Strategy};
 pub use dense::Dense;
 pub use hierarchy::hierarchy;
 pub use kinds::Kind;
+pub use prepare::{PrepareSettings, prepare};
 pub use shade::shade;
 pub use uniform::Uniform;

@@ -36,7 +36,7 @@ impl Neighbours {
                 at[id.index()] += 1;
             }
         }
-        Neighbours { next: adjacency(scene, &wanted), offsets, triangles }
+        Neighbours { next: adjacency(&scene.triangles, &scene.surface_of, &wanted), offsets, triangles }
     }
 
     /// Source triangles of a patch.

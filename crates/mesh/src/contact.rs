@@ -1,0 +1,391 @@
+//! Where triangles touch or cross large flat groups: the contact lines.
+//!
+//! A group is a run of adjacent coplanar triangles of one surface, each large enough to matter.
+//! Every other triangle that blocks light is held against the planes of the groups whose
+//! triangles' bounds it meets (a tree over the large triangles only, so the many small ones cost
+//! one walk each). Corners within the tolerance of the plane lie in it. The line of contact is an
+//! edge that lies in the plane, or the chord where the triangle crosses it; end points depend only
+//! on the corner or the edge and the plane, so that neighbours give the same bits and chords join
+//! to outlines. Outlines smaller than asked are dropped.
+
+use crate::flat::{NONE, Plane, adjacency};
+use luxel_core::{DVec3, Scene, Vec3};
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+/// Bits of a position, -0 made 0: equal bits, same place.
+pub(crate) type Place = [u32; 3];
+
+pub(crate) fn place(p: Vec3) -> Place {
+    (p + Vec3::ZERO).to_array().map(f32::to_bits)
+}
+
+/// Groups of large coplanar triangles.
+pub(crate) struct Groups {
+    /// Group of each triangle; `NONE` for the small ones.
+    pub of: Vec<u32>,
+    /// Neighbour across each edge, by position, within the surface and among the large.
+    pub next: Vec<[u32; 3]>,
+    pub planes: Vec<Plane>,
+}
+
+impl Groups {
+    /// Groups of triangles of at least `min_area_m2` that are `wanted`.
+    pub fn of(scene: &Scene, wanted: &[bool], min_area_m2: f32, tolerance_m: f64) -> Groups {
+        let large: Vec<bool> = (0..scene.triangles.len())
+            .into_par_iter()
+            .map(|t| wanted[t] && scene.area(t) >= min_area_m2)
+            .collect();
+        // Ids in order of first use, so the map's own order is never seen.
+        let mut ids: HashMap<Place, u32> = HashMap::new();
+        let mut welded = vec![[0; 3]; scene.triangles.len()];
+        for t in (0..scene.triangles.len()).filter(|&t| large[t]) {
+            welded[t] = scene.corners(t).map(|p| {
+                let fresh = ids.len() as u32;
+                *ids.entry(place(p)).or_insert(fresh)
+            });
+        }
+        let next = adjacency(&welded, &scene.surface_of, &large);
+        let mut seeds: Vec<(i32, u32)> = (0..scene.triangles.len())
+            .filter(|&t| large[t])
+            .map(|t| (-(scene.area(t).max(1e-30).log2() as i32), t as u32))
+            .collect();
+        seeds.sort_unstable();
+        let mut groups = Groups { of: vec![NONE; scene.triangles.len()], next, planes: Vec::new() };
+        let mut front = Vec::new();
+        for (_, seed) in seeds {
+            if groups.of[seed as usize] != NONE {
+                continue;
+            }
+            let plane = Plane::of(scene, seed);
+            let id = groups.planes.len() as u32;
+            groups.planes.push(plane);
+            groups.of[seed as usize] = id;
+            front.push(seed);
+            while let Some(t) = front.pop() {
+                for o in groups.next[t as usize] {
+                    if o == NONE || groups.of[o as usize] != NONE {
+                        continue;
+                    }
+                    let corners = scene.corners(o as usize);
+                    let [a, b, c] = corners.map(|p| p.as_dvec3());
+                    let flat = corners.iter().all(|&p| {
+                        plane.holds(p) || plane.distance(p.as_dvec3()).abs() < 0.1 * tolerance_m
+                    });
+                    if flat && (b - a).cross(c - a).dot(plane.normal) > 0.0 {
+                        groups.of[o as usize] = id;
+                        front.push(o);
+                    }
+                }
+            }
+        }
+        groups
+    }
+}
+
+/// A line of contact as one triangle of a group sees it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Contact {
+    pub group: u32,
+    /// Triangle of the group.
+    pub triangle: u32,
+    /// Ends, metres, in the plane of the group.
+    pub ends: [DVec3; 2],
+}
+
+/// What was found.
+#[derive(Default)]
+pub(crate) struct Contacts {
+    /// Sorted by group, then triangle.
+    pub lines: Vec<Contact>,
+    /// Large triangles that lie in the same place as one of another surface, facing the same way.
+    pub doubled: usize,
+}
+
+/// All contact lines on the groups, but those of outlines smaller than `min_contact_m`.
+pub(crate) fn contacts(
+    scene: &Scene,
+    groups: &Groups,
+    blocks: &[bool],
+    tolerance_m: f64,
+    min_contact_m: f32,
+) -> Contacts {
+    let large: Vec<u32> =
+        (0..scene.triangles.len() as u32).filter(|&t| groups.of[t as usize] != NONE).collect();
+    let tree = Tree::new(scene, large, tolerance_m as f32);
+    let found: Vec<(Vec<Contact>, Vec<u32>)> = (0..scene.triangles.len())
+        .into_par_iter()
+        .with_min_len(1024)
+        .fold(
+            || (Vec::new(), Vec::new()),
+            |(mut lines, mut doubled), q| {
+                if blocks[q] {
+                    let met = |t| {
+                        meet(scene, groups, q as u32, t, tolerance_m, &mut lines, &mut doubled);
+                    };
+                    tree.each_near(scene.corners(q), met);
+                }
+                (lines, doubled)
+            },
+        )
+        .collect();
+    let mut out = Contacts::default();
+    let mut doubled = Vec::new();
+    for (lines, d) in found {
+        out.lines.extend(lines);
+        doubled.extend(d);
+    }
+    doubled.sort_unstable();
+    doubled.dedup();
+    out.doubled = doubled.len();
+    let key = |c: &Contact| {
+        (c.group, c.triangle, c.ends.map(|p| p.to_array().map(f64::to_bits)))
+    };
+    out.lines.par_sort_by_key(key);
+    out.lines.dedup_by_key(|c| key(c));
+    out.lines = drop_small(out.lines, min_contact_m as f64);
+    out
+}
+
+/// Adds the contact of triangle `q` with the large triangle `t`.
+fn meet(
+    scene: &Scene,
+    groups: &Groups,
+    q: u32,
+    t: u32,
+    tolerance: f64,
+    lines: &mut Vec<Contact>,
+    doubled: &mut Vec<u32>,
+) {
+    let group = groups.of[t as usize];
+    if groups.of[q as usize] == group {
+        return;
+    }
+    let plane = &groups.planes[group as usize];
+    let corners = scene.corners(q as usize);
+    let exact = corners.map(|p| p.as_dvec3());
+    let d = exact.map(|p| {
+        let d = plane.distance(p);
+        if d.abs() <= tolerance { 0.0 } else { d }
+    });
+    let in_plane = |i: usize| exact[i] - plane.normal * plane.distance(exact[i]);
+    let mut add = |a: DVec3, b: DVec3| {
+        // In one order, so that an edge of two triangles counts once.
+        let ends = if a.to_array() <= b.to_array() { [a, b] } else { [b, a] };
+        if touches(scene, t, ends, tolerance) {
+            lines.push(Contact { group, triangle: t, ends });
+        }
+    };
+    let zeros = d.iter().filter(|&&d| d == 0.0).count();
+    let above = d.iter().filter(|&&d| d > 0.0).count();
+    match zeros {
+        3 => {
+            if same_place(scene, q, t, plane.normal) {
+                doubled.push(t);
+            }
+            // The outline of a coplanar group; inner edges of it mean nothing.
+            if groups.of[q as usize] != NONE {
+                for k in 0..3 {
+                    let o = groups.next[q as usize][k];
+                    if o == NONE || groups.of[o as usize] != groups.of[q as usize] {
+                        add(in_plane(k), in_plane((k + 1) % 3));
+                    }
+                }
+            }
+        }
+        2 => {
+            let off = d.iter().position(|&d| d != 0.0).unwrap_or(0);
+            add(in_plane((off + 1) % 3), in_plane((off + 2) % 3));
+        }
+        _ if above == 0 || above + zeros == 3 => {}
+        _ => {
+            let mut ends = [DVec3::ZERO; 2];
+            let mut n = 0;
+            for k in 0..3 {
+                let (i, j) = (k, (k + 1) % 3);
+                if d[i] == 0.0 {
+                    ends[n.min(1)] = in_plane(i);
+                    n += 1;
+                } else if d[i] * d[j] < 0.0 {
+                    // From the same end whichever triangle asks.
+                    let (i, j) = if corners[i].to_array() <= corners[j].to_array() { (i, j) } else { (j, i) };
+                    let p = exact[i] + (exact[j] - exact[i]) * (d[i] / (d[i] - d[j]));
+                    ends[n.min(1)] = p - plane.normal * plane.distance(p);
+                    n += 1;
+                }
+            }
+            if n == 2 {
+                add(ends[0], ends[1]);
+            }
+        }
+    }
+}
+
+/// Whether part of a line in the plane of `t` lies on the triangle, rim included.
+fn touches(scene: &Scene, t: u32, [p, q]: [DVec3; 2], tolerance: f64) -> bool {
+    let c = scene.corners(t as usize).map(|p| p.as_dvec3());
+    let n = (c[1] - c[0]).cross(c[2] - c[0]);
+    let (mut from, mut to) = (0.0f64, 1.0f64);
+    for k in 0..3 {
+        let edge = c[(k + 1) % 3] - c[k];
+        let inward = n.cross(edge).normalize_or_zero();
+        let (dp, dq) = ((p - c[k]).dot(inward) + tolerance, (q - c[k]).dot(inward) + tolerance);
+        if dp < 0.0 && dq < 0.0 {
+            return false;
+        }
+        if dp < 0.0 {
+            from = from.max(dp / (dp - dq));
+        } else if dq < 0.0 {
+            to = to.min(dp / (dp - dq));
+        }
+    }
+    (to - from) * (q - p).length() > tolerance
+}
+
+/// Whether two coplanar triangles of different surfaces face the same way and overlap, judged by
+/// their centres.
+fn same_place(scene: &Scene, q: u32, t: u32, normal: DVec3) -> bool {
+    if scene.surface_of[q as usize] == scene.surface_of[t as usize] {
+        return false;
+    }
+    let of = |t: u32| scene.corners(t as usize).map(|p| p.as_dvec3());
+    let inside = |c: [DVec3; 3], p: DVec3| {
+        let n = (c[1] - c[0]).cross(c[2] - c[0]);
+        (0..3).all(|k| (c[(k + 1) % 3] - c[k]).cross(p - c[k]).dot(n) > 0.0)
+    };
+    let (a, b) = (of(q), of(t));
+    let centre = |c: [DVec3; 3]| (c[0] + c[1] + c[2]) / 3.0;
+    (a[1] - a[0]).cross(a[2] - a[0]).dot(normal) > 0.0
+        && (inside(a, centre(b)) || inside(b, centre(a)))
+}
+
+/// Leaves out the lines of connected outlines whose bounds' diagonal is below `least`.
+fn drop_small(lines: Vec<Contact>, least: f64) -> Vec<Contact> {
+    let mut kept = Vec::with_capacity(lines.len());
+    for run in lines.chunk_by(|a, b| a.group == b.group) {
+        let mut ids: HashMap<[u64; 3], usize> = HashMap::new();
+        let mut parent: Vec<usize> = Vec::new();
+        let mut bounds: Vec<(DVec3, DVec3)> = Vec::new();
+        let ends: Vec<[usize; 2]> = run
+            .iter()
+            .map(|c| {
+                c.ends.map(|p| {
+                    *ids.entry(p.to_array().map(f64::to_bits)).or_insert_with(|| {
+                        parent.push(parent.len());
+                        bounds.push((p, p));
+                        parent.len() - 1
+                    })
+                })
+            })
+            .collect();
+        for &[a, b] in &ends {
+            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+            if a != b {
+                let (child, head) = (a.max(b), a.min(b));
+                parent[child] = head;
+                bounds[head].0 = bounds[head].0.min(bounds[child].0);
+                bounds[head].1 = bounds[head].1.max(bounds[child].1);
+            }
+        }
+        for (c, &[a, _]) in run.iter().zip(&ends) {
+            let (low, high) = bounds[root(&mut parent, a)];
+            if (high - low).length() >= least {
+                kept.push(*c);
+            }
+        }
+    }
+    kept
+}
+
+/// Head of a union-find set, shortening the path.
+pub(crate) fn root(parent: &mut [usize], mut i: usize) -> usize {
+    while parent[i] != i {
+        parent[i] = parent[parent[i]];
+        i = parent[i];
+    }
+    i
+}
+
+/// A bounding-volume tree over the large triangles.
+struct Tree {
+    /// Low and high corner; children follow at `left + 1` and `right`, or a run of `order`.
+    nodes: Vec<(Vec3, Vec3, u32, u32)>,
+    order: Vec<u32>,
+    bounds: Vec<(Vec3, Vec3)>,
+    margin: Vec3,
+}
+
+const LEAF: usize = 4;
+
+impl Tree {
+    fn new(scene: &Scene, triangles: Vec<u32>, margin: f32) -> Tree {
+        let mut boxes: Vec<(Vec3, Vec3, u32)> = triangles
+            .iter()
+            .map(|&t| {
+                let [a, b, c] = scene.corners(t as usize);
+                (a.min(b).min(c), a.max(b).max(c), t)
+            })
+            .collect();
+        let mut nodes = Vec::new();
+        if !boxes.is_empty() {
+            build(&mut boxes, 0, &mut nodes);
+        }
+        Tree {
+            nodes,
+            order: boxes.iter().map(|b| b.2).collect(),
+            bounds: boxes.iter().map(|b| (b.0, b.1)).collect(),
+            margin: Vec3::splat(margin),
+        }
+    }
+
+    fn each_near(&self, [a, b, c]: [Vec3; 3], mut found: impl FnMut(u32)) {
+        let low = a.min(b).min(c) - self.margin;
+        let high = a.max(b).max(c) + self.margin;
+        let meets = |l: Vec3, h: Vec3| l.cmple(high).all() && h.cmpge(low).all();
+        let mut stack = [0u32; 64];
+        let mut depth = usize::from(!self.nodes.is_empty());
+        while depth > 0 {
+            depth -= 1;
+            let at = stack[depth] as usize;
+            let (l, h, first, count) = self.nodes[at];
+            if !meets(l, h) {
+                continue;
+            }
+            if count > 0 {
+                for i in first as usize..(first + count) as usize {
+                    if meets(self.bounds[i].0, self.bounds[i].1) {
+                        found(self.order[i]);
+                    }
+                }
+            } else {
+                // Halves of equal count: the depth is below 32.
+                stack[depth] = first;
+                stack[depth + 1] = at as u32 + 1;
+                depth += 2;
+            }
+        }
+    }
+}
+
+fn build(boxes: &mut [(Vec3, Vec3, u32)], first: u32, nodes: &mut Vec<(Vec3, Vec3, u32, u32)>) {
+    let (mut low, mut high) = (Vec3::splat(f32::INFINITY), Vec3::splat(f32::NEG_INFINITY));
+    for b in boxes.iter() {
+        low = low.min(b.0);
+        high = high.max(b.1);
+    }
+    let at = nodes.len();
+    nodes.push((low, high, first, boxes.len() as u32));
+    if boxes.len() <= LEAF {
+        return;
+    }
+    let axis = (high - low).max_position();
+    let middle = boxes.len() / 2;
+    boxes.select_nth_unstable_by(middle, |a, b| {
+        (a.0[axis] + a.1[axis]).total_cmp(&(b.0[axis] + b.1[axis])).then(a.2.cmp(&b.2))
+    });
+    let (left, right) = boxes.split_at_mut(middle);
+    build(left, first, nodes);
+    nodes[at].2 = nodes.len() as u32;
+    nodes[at].3 = 0;
+    build(right, first + middle as u32, nodes);
+}

@@ -1,0 +1,299 @@
+//! One triangle cut along lines: constrained Delaunay triangulation in coordinates in which its
+//! border is exact.
+//!
+//! Coordinates are barycentric weights rounded to 2^-40 and stretched by powers of two to about
+//! the true lengths. Then points on all three edges are collinear without rounding, the hull of
+//! the triangulation is the triangle, and its pieces fill it. Lines are cut at points near them
+//! before (snapping), and at each other by the triangulation, whose predicates are exact.
+//!
+//! Delaunay triangulation: crate spade; its constraints split where they cross.
+
+use luxel_core::DVec3;
+use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// A point of the triangle: weights of corners 1 and 2, exact on the border.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Weights {
+    pub u: f64,
+    pub v: f64,
+}
+
+/// Where a point lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum End {
+    Corner(usize),
+    /// On edge k (corner k to k + 1), that far along.
+    Edge(usize, f64),
+    Inside(Weights),
+}
+
+/// What a contact line does to a triangle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Effect {
+    Nothing,
+    /// It runs along edge k between two places, `0 <= from < to <= 1`.
+    Along(usize, f64, f64),
+    Cut(End, End),
+}
+
+/// Geometry of the triangle to be cut.
+pub(crate) struct Frame {
+    corners: [DVec3; 3],
+    normal: DVec3,
+    nn: f64,
+    /// Height over each edge, metres.
+    heights: [f64; 3],
+    lengths: [f64; 3],
+}
+
+const GRID: f64 = (1u64 << 40) as f64;
+
+fn on_grid(x: f64) -> f64 {
+    (x * GRID).round() / GRID
+}
+
+impl Frame {
+    pub fn new(corners: [DVec3; 3]) -> Frame {
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a);
+        let lengths = [(b - a).length(), (c - b).length(), (a - c).length()];
+        Frame {
+            corners,
+            normal,
+            nn: normal.length_squared(),
+            heights: lengths.map(|l| normal.length() / l),
+            lengths,
+        }
+    }
+
+    /// Weights of the corners opposite to edges 0, 1, 2, i.e. of corners 2, 0, 1: each is the
+    /// distance from that edge as a share of the height over it.
+    fn shares(&self, p: DVec3) -> [f64; 3] {
+        std::array::from_fn(|k| {
+            let (a, b) = (self.corners[k], self.corners[(k + 1) % 3]);
+            (b - a).cross(p - a).dot(self.normal) / self.nn
+        })
+    }
+
+    fn along(&self, k: usize, p: DVec3) -> f64 {
+        let (a, b) = (self.corners[k], self.corners[(k + 1) % 3]);
+        (p - a).dot(b - a) / (b - a).length_squared()
+    }
+
+    /// What a line in the plane does to this triangle; places within `tolerance` of a corner or
+    /// an edge are on it.
+    pub fn effect(&self, [p, q]: [DVec3; 2], tolerance: f64) -> Effect {
+        let (dp, dq) = (self.shares(p), self.shares(q));
+        for k in 0..3 {
+            if dp[k].abs() * self.heights[k] <= tolerance && dq[k].abs() * self.heights[k] <= tolerance {
+                let (s, t) = (self.along(k, p), self.along(k, q));
+                let (from, to) = (s.min(t).clamp(0.0, 1.0), s.max(t).clamp(0.0, 1.0));
+                let least = tolerance / self.lengths[k];
+                return if to - from > least { Effect::Along(k, from, to) } else { Effect::Nothing };
+            }
+        }
+        let (mut from, mut to) = (0.0f64, 1.0f64);
+        for k in 0..3 {
+            if dp[k] < 0.0 && dq[k] < 0.0 {
+                return Effect::Nothing;
+            }
+            if dp[k] < 0.0 {
+                from = from.max(dp[k] / (dp[k] - dq[k]));
+            } else if dq[k] < 0.0 {
+                to = to.min(dp[k] / (dp[k] - dq[k]));
+            }
+        }
+        if (to - from) * (q - p).length() <= tolerance {
+            return Effect::Nothing;
+        }
+        let ends = [self.end(p + (q - p) * from, tolerance), self.end(p + (q - p) * to, tolerance)];
+        let on = |end: End, edge: usize| match end {
+            End::Corner(k) => k == edge || k == (edge + 1) % 3,
+            End::Edge(k, _) => k == edge,
+            End::Inside(_) => false,
+        };
+        if (0..3).any(|k| on(ends[0], k) && on(ends[1], k)) || ends[0] == ends[1] {
+            return Effect::Nothing;
+        }
+        Effect::Cut(ends[0], ends[1])
+    }
+
+    fn end(&self, p: DVec3, tolerance: f64) -> End {
+        for (k, c) in self.corners.iter().enumerate() {
+            if p.distance(*c) <= tolerance {
+                return End::Corner(k);
+            }
+        }
+        let d = self.shares(p);
+        let near = |k: usize| d[k] * self.heights[k];
+        let k = (1..3).fold(0, |best, k| if near(k) < near(best) { k } else { best });
+        if near(k) <= tolerance {
+            return End::Edge(k, self.along(k, p).clamp(0.0, 1.0));
+        }
+        End::Inside(Weights { u: on_grid(d[2]), v: on_grid(d[0]) })
+    }
+
+    /// The point with these weights, metres.
+    pub fn point(&self, w: Weights) -> DVec3 {
+        let [a, b, c] = self.corners;
+        a + (b - a) * w.u + (c - a) * w.v
+    }
+}
+
+/// Weights of the place `t` along edge `k`, exact on the edge.
+pub(crate) fn on_edge(k: usize, t: f64) -> Weights {
+    let t = on_grid(t);
+    match k {
+        0 => Weights { u: t, v: 0.0 },
+        1 => Weights { u: 1.0 - t, v: t },
+        _ => Weights { u: 0.0, v: 1.0 - t },
+    }
+}
+
+/// Pieces of a triangle: corners as indices into `points` and whether each edge (corner k to
+/// k + 1) is a cut.
+#[derive(Default)]
+pub(crate) struct Pieces {
+    pub points: Vec<Weights>,
+    pub triangles: Vec<([u32; 3], [bool; 3])>,
+}
+
+struct Vertex {
+    position: Point2<f64>,
+    id: u32,
+}
+
+impl HasPosition for Vertex {
+    type Scalar = f64;
+    fn position(&self) -> Point2<f64> {
+        self.position
+    }
+}
+
+const NEW: u32 = u32::MAX;
+
+/// Cuts a triangle along `lines` (pairs of indices into `points`). The first three points are the
+/// corners; points on the border are exact. `None` if the triangulation fails.
+pub(crate) fn cut(
+    frame: &Frame,
+    points: Vec<Weights>,
+    lines: &[[u32; 2]],
+    tolerance: f64,
+) -> Option<Pieces> {
+    // A failed assertion in the triangulation must not end a job of hours.
+    catch_unwind(AssertUnwindSafe(|| triangulate(frame, points, lines, tolerance))).ok().flatten()
+}
+
+fn triangulate(
+    frame: &Frame,
+    points: Vec<Weights>,
+    lines: &[[u32; 2]],
+    tolerance: f64,
+) -> Option<Pieces> {
+    // The corner nearest to a right angle becomes the origin.
+    let skew = |k: usize| {
+        let [a, b, c] = [0, 1, 2].map(|i| frame.corners[(k + i) % 3]);
+        ((b - a).dot(c - a) / ((b - a).length() * (c - a).length())).abs()
+    };
+    let k = (1..3).fold(0, |best, k| if skew(k) < skew(best) { k } else { best });
+    // Scaled so that the longer leg is about 1: spade dislikes neither, and f64 has room.
+    let longer = frame.lengths[k].max(frame.lengths[(k + 2) % 3]);
+    let power = |length: f64| (length / longer).max(1e-9).log2().round().exp2();
+    let (x, y) = (power(frame.lengths[k]), power(frame.lengths[(k + 2) % 3]));
+    let to_plane = |w: Weights| {
+        let all = [1.0 - w.u - w.v, w.u, w.v];
+        Point2::new(all[(k + 1) % 3] * x, all[(k + 2) % 3] * y)
+    };
+    let from_plane = |p: Point2<f64>| {
+        let (a, b) = (p.x / x, p.y / y);
+        let mut all = [0.0; 3];
+        all[k] = 1.0 - a - b;
+        all[(k + 1) % 3] = a;
+        all[(k + 2) % 3] = b;
+        Weights { u: all[1], v: all[2] }
+    };
+    let mut net = ConstrainedDelaunayTriangulation::<Vertex>::new();
+    let mut handles = Vec::with_capacity(points.len());
+    for (i, &w) in points.iter().enumerate() {
+        handles.push(net.insert(Vertex { position: to_plane(w), id: i as u32 }).ok()?);
+    }
+    let placed: Vec<DVec3> = points.iter().map(|&w| frame.point(w)).collect();
+    let mut chain: Vec<(f64, u32)> = Vec::new();
+    for &[a, b] in lines {
+        // Points near the line become part of it, or hair-thin gaps would join both sides.
+        let (p, q) = (placed[a as usize], placed[b as usize]);
+        let length = (q - p).length();
+        if length == 0.0 {
+            continue;
+        }
+        let direction = (q - p) / length;
+        chain.clear();
+        for (i, &r) in placed.iter().enumerate() {
+            let t = (r - p).dot(direction);
+            if t > 0.0 && t < length && (r - p - direction * t).length() <= tolerance {
+                chain.push((t, i as u32));
+            }
+        }
+        chain.sort_by(|s, t| s.0.total_cmp(&t.0).then(s.1.cmp(&t.1)));
+        let mut from = a;
+        for to in chain.iter().map(|c| c.1).chain([b]) {
+            if handles[from as usize] != handles[to as usize] && !on_one_edge(points[from as usize], points[to as usize]) {
+                net.add_constraint_and_split(handles[from as usize], handles[to as usize], |position| Vertex { position, id: NEW });
+            }
+            from = to;
+        }
+    }
+    let mut pieces = Pieces { points, triangles: Vec::new() };
+    let mut index = vec![NEW; net.num_vertices()];
+    for v in net.vertices() {
+        let id = v.data().id;
+        index[v.fix().index()] = if id != NEW {
+            id
+        } else {
+            pieces.points.push(from_plane(v.position()));
+            pieces.points.len() as u32 - 1
+        };
+    }
+    for face in net.inner_faces() {
+        let edges = face.adjacent_edges();
+        pieces.triangles.push((
+            edges.map(|e| index[e.from().fix().index()]),
+            edges.map(|e| e.is_constraint_edge()),
+        ));
+    }
+    Some(pieces)
+}
+
+/// Edges that a point is on.
+pub(crate) fn edges_of(w: Weights) -> [bool; 3] {
+    [w.v == 0.0, w.u + w.v == 1.0, w.u == 0.0]
+}
+
+fn on_one_edge(a: Weights, b: Weights) -> bool {
+    let (a, b) = (edges_of(a), edges_of(b));
+    (0..3).any(|k| a[k] && b[k])
+}
+
+/// The pieces of a triangle whose border has more points but nothing inside: no triangulation
+/// can fail here. `border[k]` are the indices of the points on edge k in order.
+pub(crate) fn fan(points: Vec<Weights>, border: &[Vec<u32>; 3]) -> Pieces {
+    let mut triangles = Vec::new();
+    split([0, 1, 2], [&border[0], &border[1], &border[2]], &mut triangles);
+    Pieces { points, triangles }
+}
+
+/// Splits at the middle point of the fullest edge, towards the corner across.
+fn split(corners: [u32; 3], border: [&[u32]; 3], out: &mut Vec<([u32; 3], [bool; 3])>) {
+    let k = (1..3).fold(0, |best, k| if border[k].len() > border[best].len() { k } else { best });
+    let full = border[k];
+    if full.is_empty() {
+        out.push((corners, [false; 3]));
+        return;
+    }
+    let middle = full.len() / 2;
+    let [a, b, c] = [0, 1, 2].map(|i| corners[(k + i) % 3]);
+    let p = full[middle];
+    split([a, p, c], [&full[..middle], &[], border[(k + 2) % 3]], out);
+    split([p, b, c], [&full[middle + 1..], border[(k + 1) % 3], &[]], out);
+}
