@@ -12,9 +12,7 @@ use crate::contract::{MeshSettings, Strategy};
 use crate::neighbours::Neighbours;
 use crate::shade::shade;
 use crate::uniform::mesh;
-use luxel_core::{
-    ElementId, Front, FrontChange, Patch, RefinementWish, Scene, Shape, Solution,
-};
+use luxel_core::{ElementId, Front, FrontChange, Patch, RefinementWish, Scene, Shape, Solution};
 use rayon::prelude::*;
 
 /// Elements whose wish is above this are split: a step of 5 % of the mean exitance.
@@ -30,20 +28,28 @@ pub struct Adaptive {
 impl Adaptive {
     /// With these settings and the default [`THRESHOLD`].
     pub fn new(settings: MeshSettings) -> Self {
-        Adaptive { settings, threshold: THRESHOLD }
+        Adaptive {
+            settings,
+            threshold: THRESHOLD,
+        }
     }
 
     /// With a wish above which elements are split.
     pub fn with_threshold(settings: MeshSettings, threshold: f32) -> Self {
-        Adaptive { settings, threshold }
+        Adaptive {
+            settings,
+            threshold,
+        }
     }
 }
 
 impl Strategy for Adaptive {
     fn initial(&mut self, scene: &Scene) -> Front {
         // Half of the elements are left to refinement.
-        let settings =
-            MeshSettings { max_elements: (self.settings.max_elements / 2).max(1), ..self.settings };
+        let settings = MeshSettings {
+            max_elements: (self.settings.max_elements / 2).max(1),
+            ..self.settings
+        };
         mesh(scene, &settings, |n| n).0
     }
 
@@ -112,7 +118,8 @@ impl Refined<'_> {
             return false;
         }
         let mut around = Vec::new();
-        self.neighbours.around(self.scene, &self.front, e, &mut around);
+        self.neighbours
+            .around(self.scene, &self.front, e, &mut around);
         for n in around {
             if coarser(&self.front, n, e) && !self.split(n, depth + 1) {
                 // Across patches a coarse neighbour that may not be split (a cluster, the limit)
@@ -125,7 +132,9 @@ impl Refined<'_> {
         if self.front.len() + 3 > self.settings.max_elements {
             return false;
         }
-        let Some(children) = self.front.split(e) else { return false };
+        let Some(children) = self.front.split(e) else {
+            return false;
+        };
         let parent = self.old[e.index()];
         self.old.resize(self.front.len(), parent);
         debug_assert_eq!(children[0], e);
@@ -167,7 +176,11 @@ fn edge_m(front: &Front, e: ElementId) -> f32 {
 pub fn neighbour_difference(scene: &Scene, front: &Front, solution: &Solution) -> RefinementWish {
     let count = front.len().min(solution.len());
     let value: Vec<f32> = (0..count).map(|e| solution.total(e).luminance()).collect();
-    let flux: f64 = value.iter().zip(&front.area).map(|(&v, &a)| v as f64 * a as f64).sum();
+    let flux: f64 = value
+        .iter()
+        .zip(&front.area)
+        .map(|(&v, &a)| v as f64 * a as f64)
+        .sum();
     let mean = (flux / front.total_area().max(1e-30)) as f32;
     if mean <= 0.0 || mean.is_nan() {
         return RefinementWish(vec![0.0; front.len()]);

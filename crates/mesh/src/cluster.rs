@@ -52,7 +52,11 @@ pub(crate) struct Limits {
 pub(crate) fn halve(items: &mut [Item], normal_m: f32) -> usize {
     let (mut low, mut high) = ([f32::INFINITY; 6], [f32::NEG_INFINITY; 6]);
     let key = |item: &Item, axis: usize| {
-        if axis < 3 { 0.5 * item.place(axis) } else { item.normal[axis - 3] * normal_m }
+        if axis < 3 {
+            0.5 * item.place(axis)
+        } else {
+            item.normal[axis - 3] * normal_m
+        }
     };
     for item in items.iter() {
         for axis in 0..6 {
@@ -106,5 +110,7 @@ fn fits(items: &[Item], limits: Limits) -> bool {
         return false;
     }
     let axis = sum.normalize_or_zero();
-    items.iter().all(|item| item.normal.dot(axis) >= limits.cos_cone)
+    items
+        .iter()
+        .all(|item| item.normal.dot(axis) >= limits.cos_cone)
 }

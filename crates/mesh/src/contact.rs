@@ -51,7 +51,11 @@ impl Groups {
             .map(|t| (-(scene.area(t).max(1e-30).log2() as i32), t as u32))
             .collect();
         seeds.sort_unstable();
-        let mut groups = Groups { of: vec![NONE; scene.triangles.len()], next, planes: Vec::new() };
+        let mut groups = Groups {
+            of: vec![NONE; scene.triangles.len()],
+            next,
+            planes: Vec::new(),
+        };
         let mut front = Vec::new();
         for (_, seed) in seeds {
             if groups.of[seed as usize] != NONE {
@@ -110,8 +114,9 @@ pub(crate) fn contacts(
     tolerance_m: f64,
     min_contact_m: f32,
 ) -> Contacts {
-    let large: Vec<u32> =
-        (0..scene.triangles.len() as u32).filter(|&t| groups.of[t as usize] != NONE).collect();
+    let large: Vec<u32> = (0..scene.triangles.len() as u32)
+        .filter(|&t| groups.of[t as usize] != NONE)
+        .collect();
     let tree = Tree::new(scene, large, tolerance_m as f32);
     let found: Vec<(Vec<Contact>, Vec<u32>)> = (0..scene.triangles.len())
         .into_par_iter()
@@ -121,7 +126,15 @@ pub(crate) fn contacts(
             |(mut lines, mut doubled), q| {
                 if blocks[q] {
                     let met = |t| {
-                        meet(scene, groups, q as u32, t, tolerance_m, &mut lines, &mut doubled);
+                        meet(
+                            scene,
+                            groups,
+                            q as u32,
+                            t,
+                            tolerance_m,
+                            &mut lines,
+                            &mut doubled,
+                        );
                     };
                     tree.each_near(scene.corners(q), met);
                 }
@@ -139,7 +152,11 @@ pub(crate) fn contacts(
     doubled.dedup();
     out.doubled = doubled.len();
     let key = |c: &Contact| {
-        (c.group, c.triangle, c.ends.map(|p| p.to_array().map(f64::to_bits)))
+        (
+            c.group,
+            c.triangle,
+            c.ends.map(|p| p.to_array().map(f64::to_bits)),
+        )
     };
     out.lines.par_sort_by_key(key);
     out.lines.dedup_by_key(|c| key(c));
@@ -171,9 +188,17 @@ fn meet(
     let in_plane = |i: usize| exact[i] - plane.normal * plane.distance(exact[i]);
     let mut add = |a: DVec3, b: DVec3| {
         // In one order, so that an edge of two triangles counts once.
-        let ends = if a.to_array() <= b.to_array() { [a, b] } else { [b, a] };
+        let ends = if a.to_array() <= b.to_array() {
+            [a, b]
+        } else {
+            [b, a]
+        };
         if touches(scene, t, ends, tolerance) {
-            lines.push(Contact { group, triangle: t, ends });
+            lines.push(Contact {
+                group,
+                triangle: t,
+                ends,
+            });
         }
     };
     let zeros = d.iter().filter(|&&d| d == 0.0).count();
@@ -208,7 +233,11 @@ fn meet(
                     n += 1;
                 } else if d[i] * d[j] < 0.0 {
                     // From the same end whichever triangle asks.
-                    let (i, j) = if corners[i].to_array() <= corners[j].to_array() { (i, j) } else { (j, i) };
+                    let (i, j) = if corners[i].to_array() <= corners[j].to_array() {
+                        (i, j)
+                    } else {
+                        (j, i)
+                    };
                     let p = exact[i] + (exact[j] - exact[i]) * (d[i] / (d[i] - d[j]));
                     ends[n.min(1)] = p - plane.normal * plane.distance(p);
                     n += 1;
@@ -229,7 +258,10 @@ fn touches(scene: &Scene, t: u32, [p, q]: [DVec3; 2], tolerance: f64) -> bool {
     for k in 0..3 {
         let edge = c[(k + 1) % 3] - c[k];
         let inward = n.cross(edge).normalize_or_zero();
-        let (dp, dq) = ((p - c[k]).dot(inward) + tolerance, (q - c[k]).dot(inward) + tolerance);
+        let (dp, dq) = (
+            (p - c[k]).dot(inward) + tolerance,
+            (q - c[k]).dot(inward) + tolerance,
+        );
         if dp < 0.0 && dq < 0.0 {
             return false;
         }
@@ -270,11 +302,12 @@ fn drop_small(lines: Vec<Contact>, least: f64) -> Vec<Contact> {
             .iter()
             .map(|c| {
                 c.ends.map(|p| {
-                    *ids.entry(p.to_array().map(f64::to_bits)).or_insert_with(|| {
-                        parent.push(parent.len());
-                        bounds.push((p, p));
-                        parent.len() - 1
-                    })
+                    *ids.entry(p.to_array().map(f64::to_bits))
+                        .or_insert_with(|| {
+                            parent.push(parent.len());
+                            bounds.push((p, p));
+                            parent.len() - 1
+                        })
                 })
             })
             .collect();
@@ -381,7 +414,9 @@ fn build(boxes: &mut [(Vec3, Vec3, u32)], first: u32, nodes: &mut Vec<(Vec3, Vec
     let axis = (high - low).max_position();
     let middle = boxes.len() / 2;
     boxes.select_nth_unstable_by(middle, |a, b| {
-        (a.0[axis] + a.1[axis]).total_cmp(&(b.0[axis] + b.1[axis])).then(a.2.cmp(&b.2))
+        (a.0[axis] + a.1[axis])
+            .total_cmp(&(b.0[axis] + b.1[axis]))
+            .then(a.2.cmp(&b.2))
     });
     let (left, right) = boxes.split_at_mut(middle);
     build(left, first, nodes);

@@ -86,11 +86,17 @@ impl Frame {
     pub fn effect(&self, [p, q]: [DVec3; 2], tolerance: f64) -> Effect {
         let (dp, dq) = (self.shares(p), self.shares(q));
         for k in 0..3 {
-            if dp[k].abs() * self.heights[k] <= tolerance && dq[k].abs() * self.heights[k] <= tolerance {
+            if dp[k].abs() * self.heights[k] <= tolerance
+                && dq[k].abs() * self.heights[k] <= tolerance
+            {
                 let (s, t) = (self.along(k, p), self.along(k, q));
                 let (from, to) = (s.min(t).clamp(0.0, 1.0), s.max(t).clamp(0.0, 1.0));
                 let least = tolerance / self.lengths[k];
-                return if to - from > least { Effect::Along(k, from, to) } else { Effect::Nothing };
+                return if to - from > least {
+                    Effect::Along(k, from, to)
+                } else {
+                    Effect::Nothing
+                };
             }
         }
         let (mut from, mut to) = (0.0f64, 1.0f64);
@@ -107,7 +113,10 @@ impl Frame {
         if (to - from) * (q - p).length() <= tolerance {
             return Effect::Nothing;
         }
-        let ends = [self.end(p + (q - p) * from, tolerance), self.end(p + (q - p) * to, tolerance)];
+        let ends = [
+            self.end(p + (q - p) * from, tolerance),
+            self.end(p + (q - p) * to, tolerance),
+        ];
         let on = |end: End, edge: usize| match end {
             End::Corner(k) => k == edge || k == (edge + 1) % 3,
             End::Edge(k, _) => k == edge,
@@ -131,7 +140,10 @@ impl Frame {
         if near(k) <= tolerance {
             return End::Edge(k, self.along(k, p).clamp(0.0, 1.0));
         }
-        End::Inside(Weights { u: on_grid(d[2]), v: on_grid(d[0]) })
+        End::Inside(Weights {
+            u: on_grid(d[2]),
+            v: on_grid(d[0]),
+        })
     }
 
     /// The point with these weights, metres.
@@ -182,7 +194,11 @@ pub(crate) fn cut(
     tolerance: f64,
 ) -> Option<Pieces> {
     // A failed assertion in the triangulation must not end a job of hours.
-    catch_unwind(AssertUnwindSafe(|| triangulate(frame, points, lines, tolerance))).ok().flatten()
+    catch_unwind(AssertUnwindSafe(|| {
+        triangulate(frame, points, lines, tolerance)
+    }))
+    .ok()
+    .flatten()
 }
 
 fn triangulate(
@@ -211,12 +227,21 @@ fn triangulate(
         all[k] = 1.0 - a - b;
         all[(k + 1) % 3] = a;
         all[(k + 2) % 3] = b;
-        Weights { u: all[1], v: all[2] }
+        Weights {
+            u: all[1],
+            v: all[2],
+        }
     };
     let mut net = ConstrainedDelaunayTriangulation::<Vertex>::new();
     let mut handles = Vec::with_capacity(points.len());
     for (i, &w) in points.iter().enumerate() {
-        handles.push(net.insert(Vertex { position: to_plane(w), id: i as u32 }).ok()?);
+        handles.push(
+            net.insert(Vertex {
+                position: to_plane(w),
+                id: i as u32,
+            })
+            .ok()?,
+        );
     }
     let placed: Vec<DVec3> = points.iter().map(|&w| frame.point(w)).collect();
     let mut chain: Vec<(f64, u32)> = Vec::new();
@@ -238,13 +263,22 @@ fn triangulate(
         chain.sort_by(|s, t| s.0.total_cmp(&t.0).then(s.1.cmp(&t.1)));
         let mut from = a;
         for to in chain.iter().map(|c| c.1).chain([b]) {
-            if handles[from as usize] != handles[to as usize] && !on_one_edge(points[from as usize], points[to as usize]) {
-                net.add_constraint_and_split(handles[from as usize], handles[to as usize], |position| Vertex { position, id: NEW });
+            if handles[from as usize] != handles[to as usize]
+                && !on_one_edge(points[from as usize], points[to as usize])
+            {
+                net.add_constraint_and_split(
+                    handles[from as usize],
+                    handles[to as usize],
+                    |position| Vertex { position, id: NEW },
+                );
             }
             from = to;
         }
     }
-    let mut pieces = Pieces { points, triangles: Vec::new() };
+    let mut pieces = Pieces {
+        points,
+        triangles: Vec::new(),
+    };
     let mut index = vec![NEW; net.num_vertices()];
     for v in net.vertices() {
         let id = v.data().id;
@@ -279,13 +313,23 @@ fn on_one_edge(a: Weights, b: Weights) -> bool {
 /// can fail here. `border[k]` are the indices of the points on edge k in order.
 pub(crate) fn fan(points: Vec<Weights>, border: &[Vec<u32>; 3]) -> Pieces {
     let mut triangles = Vec::new();
-    split([0, 1, 2], [&border[0], &border[1], &border[2]], &mut triangles);
+    split(
+        [0, 1, 2],
+        [&border[0], &border[1], &border[2]],
+        &mut triangles,
+    );
     Pieces { points, triangles }
 }
 
 /// Splits at the middle point of the fullest edge, towards the corner across.
 fn split(corners: [u32; 3], border: [&[u32]; 3], out: &mut Vec<([u32; 3], [bool; 3])>) {
-    let k = (1..3).fold(0, |best, k| if border[k].len() > border[best].len() { k } else { best });
+    let k = (1..3).fold(0, |best, k| {
+        if border[k].len() > border[best].len() {
+            k
+        } else {
+            best
+        }
+    });
     let full = border[k];
     if full.is_empty() {
         out.push((corners, [false; 3]));
@@ -295,5 +339,9 @@ fn split(corners: [u32; 3], border: [&[u32]; 3], out: &mut Vec<([u32; 3], [bool;
     let [a, b, c] = [0, 1, 2].map(|i| corners[(k + i) % 3]);
     let p = full[middle];
     split([a, p, c], [&full[..middle], &[], border[(k + 2) % 3]], out);
-    split([p, b, c], [&full[middle + 1..], border[(k + 1) % 3], &[]], out);
+    split(
+        [p, b, c],
+        [&full[middle + 1..], border[(k + 1) % 3], &[]],
+        out,
+    );
 }

@@ -85,7 +85,11 @@ impl Plane {
     pub fn of(scene: &Scene, triangle: u32) -> Plane {
         let [a, b, c] = scene.corners(triangle as usize).map(|p| p.as_dvec3());
         let n = (b - a).cross(c - a);
-        Plane { normal: n.normalize_or_zero(), origin: a, size: n.length().sqrt() }
+        Plane {
+            normal: n.normalize_or_zero(),
+            origin: a,
+            size: n.length().sqrt(),
+        }
     }
 
     /// Signed distance of a point, metres.
@@ -97,7 +101,11 @@ impl Plane {
     /// enlarged by extrapolation from this triangle.
     pub fn holds(&self, p: Vec3) -> bool {
         let rel = p.as_dvec3() - self.origin;
-        let ulp = p.abs().max_element().max(self.origin.abs().max_element() as f32) as f64 * 1.2e-7;
+        let ulp = p
+            .abs()
+            .max_element()
+            .max(self.origin.abs().max_element() as f32) as f64
+            * 1.2e-7;
         let far = 1.0 + rel.length() / self.size.max(1e-30);
         rel.dot(self.normal).abs() <= 2.0 * ulp * far + 1e-7 * rel.length()
     }
@@ -157,7 +165,10 @@ fn add_region(
     id: u32,
     out: &mut Flats,
 ) {
-    let region_area = region.iter().map(|&t| scene.area(t as usize) as f64).sum::<f64>() as f32;
+    let region_area = region
+        .iter()
+        .map(|&t| scene.area(t as usize) as f64)
+        .sum::<f64>() as f32;
     let mut add = |corners: [Vec3; 3], parallelogram: bool, triangles: &[u32]| {
         let first = out.triangles.len() as u32;
         out.triangles.extend_from_slice(triangles);
@@ -196,7 +207,9 @@ fn add_region(
             let o = next[t as usize][k];
             if o > t && o != NONE && region_of[o as usize] == id {
                 let [b, c, a] = rotated(scene, t, k);
-                let Some(d) = opposite(scene, o, t) else { continue };
+                let Some(d) = opposite(scene, o, t) else {
+                    continue;
+                };
                 // a, b, d, c: the common edge b-c is the diagonal.
                 if is_parallelogram(&[a, b, d, c]) {
                     let (u, v) = (b - a, c - a);
@@ -233,15 +246,23 @@ fn rotated(scene: &Scene, triangle: u32, k: usize) -> [Vec3; 3] {
 /// Corner of `o` that is not on the edge it shares with `t`.
 fn opposite(scene: &Scene, o: u32, t: u32) -> Option<Vec3> {
     let shared = scene.triangles[t as usize];
-    let mut alone = scene.triangles[o as usize].into_iter().filter(|i| !shared.contains(i));
+    let mut alone = scene.triangles[o as usize]
+        .into_iter()
+        .filter(|i| !shared.contains(i));
     let corner = alone.next()?;
-    alone.next().is_none().then(|| scene.positions[corner as usize])
+    alone
+        .next()
+        .is_none()
+        .then(|| scene.positions[corner as usize])
 }
 
 /// Whether four corners in order form a parallelogram, but for rounding of coordinates.
 fn is_parallelogram(corners: &[Vec3; 4]) -> bool {
     let [a, b, c, d] = corners.map(|p| p.as_dvec3());
-    let largest = corners.iter().map(|p| p.abs().max_element()).fold(0.0, f32::max) as f64;
+    let largest = corners
+        .iter()
+        .map(|p| p.abs().max_element())
+        .fold(0.0, f32::max) as f64;
     let (u, v) = (b - a, d - a);
     let size = u.length().min(v.length());
     let defect = (a + c - b - d).length();

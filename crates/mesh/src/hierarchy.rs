@@ -17,8 +17,10 @@ pub fn hierarchy(scene: &Scene, front: &Front) -> Hierarchy {
     if front.is_empty() {
         return Hierarchy::default();
     }
-    let mut items: Vec<Item> =
-        (0..front.len()).into_par_iter().map(|e| element_item(scene, front, e)).collect();
+    let mut items: Vec<Item> = (0..front.len())
+        .into_par_iter()
+        .map(|e| element_item(scene, front, e))
+        .collect();
     sort(&mut items);
 
     // Level by level: parents before children, children side by side.
@@ -41,7 +43,10 @@ pub fn hierarchy(scene: &Scene, front: &Front) -> Hierarchy {
             node(scene, front, below, first, first_child)
         })
         .collect();
-    Hierarchy { nodes, order: items.iter().map(|i| ElementId(i.id)).collect() }
+    Hierarchy {
+        nodes,
+        order: items.iter().map(|i| ElementId(i.id)).collect(),
+    }
 }
 
 fn sort(items: &mut [Item]) {
@@ -75,7 +80,10 @@ fn element_item(scene: &Scene, front: &Front, e: usize) -> Item {
     match &patch.shape {
         Shape::Cluster { triangles } => {
             for c in &front.cluster_triangles[triangles.start as usize..triangles.end as usize] {
-                scene.corners(c.triangle as usize).into_iter().for_each(&mut hold);
+                scene
+                    .corners(c.triangle as usize)
+                    .into_iter()
+                    .for_each(&mut hold);
             }
         }
         shape => {
@@ -87,7 +95,13 @@ fn element_item(scene: &Scene, front: &Front, e: usize) -> Item {
             }
         }
     }
-    Item { low, high, normal: patch.normal, area: front.area[e], id: e as u32 }
+    Item {
+        low,
+        high,
+        normal: patch.normal,
+        area: front.area[e],
+        id: e as u32,
+    }
 }
 
 /// Smallest cosine between `axis` and a normal of element `e`.
@@ -119,7 +133,11 @@ fn node(scene: &Scene, front: &Front, below: &[Item], first: u32, first_child: u
         sum += item.normal.as_dvec3() * item.area as f64;
     }
     // Opposite walls cancel: then there is no cone.
-    let axis = if sum.length() > 1e-3 * area { sum.normalize_or_zero().as_vec3() } else { Vec3::ZERO };
+    let axis = if sum.length() > 1e-3 * area {
+        sum.normalize_or_zero().as_vec3()
+    } else {
+        Vec3::ZERO
+    };
     let mut cosine = if axis == Vec3::ZERO { -1.0 } else { 1.0f32 };
     for item in below {
         if cosine <= 0.0 {
@@ -129,8 +147,11 @@ fn node(scene: &Scene, front: &Front, below: &[Item], first: u32, first_child: u
         }
         cosine = cosine.min(least_cosine(scene, front, item, axis));
     }
-    let (axis, cos_half_angle) =
-        if cosine <= 0.0 { (Vec3::ZERO, -1.0) } else { (axis, (cosine - 1e-6).max(0.0)) };
+    let (axis, cos_half_angle) = if cosine <= 0.0 {
+        (Vec3::ZERO, -1.0)
+    } else {
+        (axis, (cosine - 1e-6).max(0.0))
+    };
     Node {
         low,
         high,

@@ -54,7 +54,11 @@ impl MeshSettings {
     pub fn for_scene(scene: &Scene, target_elements: usize) -> MeshSettings {
         let target = target_elements.max(1);
         let area = lit_area(scene);
-        let max_area_m2 = if area > 0.0 { (area / target as f64) as f32 } else { 1.0 };
+        let max_area_m2 = if area > 0.0 {
+            (area / target as f64) as f32
+        } else {
+            1.0
+        };
         MeshSettings {
             max_area_m2,
             min_edge_m: (max_area_m2.sqrt() / 8.0).max(0.01),
@@ -71,8 +75,15 @@ pub fn lit_area(scene: &Scene) -> f64 {
         .iter()
         .map(|s| {
             let finish = &scene.finishes[s.finish.index()];
-            let sides = SIDES.iter().filter(|&&side| lit_side(finish, side).is_some()).count();
-            let area: f64 = s.triangles.clone().map(|t| scene.area(t as usize) as f64).sum();
+            let sides = SIDES
+                .iter()
+                .filter(|&&side| lit_side(finish, side).is_some())
+                .count();
+            let area: f64 = s
+                .triangles
+                .clone()
+                .map(|t| scene.area(t as usize) as f64)
+                .sum();
             area * sides as f64
         })
         .sum()

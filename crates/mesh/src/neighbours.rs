@@ -19,8 +19,11 @@ const SMOOTH: f32 = 0.9;
 
 impl Neighbours {
     pub fn of(scene: &Scene, front: &Front) -> Neighbours {
-        let wanted: Vec<bool> =
-            front.patch_of.iter().map(|ids| ids.iter().any(|id| id.is_some())).collect();
+        let wanted: Vec<bool> = front
+            .patch_of
+            .iter()
+            .map(|ids| ids.iter().any(|id| id.is_some()))
+            .collect();
         let mut offsets = vec![0u32; front.patches.len() + 1];
         for id in front.patch_of.iter().flatten().filter(|id| id.is_some()) {
             offsets[id.index() + 1] += 1;
@@ -36,7 +39,11 @@ impl Neighbours {
                 at[id.index()] += 1;
             }
         }
-        Neighbours { next: adjacency(&scene.triangles, &scene.surface_of, &wanted), offsets, triangles }
+        Neighbours {
+            next: adjacency(&scene.triangles, &scene.surface_of, &wanted),
+            offsets,
+            triangles,
+        }
     }
 
     /// Source triangles of a patch.
@@ -56,7 +63,9 @@ impl Neighbours {
             Shape::Triangle { .. } => (false, true),
             Shape::Cluster { .. } => return,
         };
-        let Some(&first) = self.triangles_of(id).first() else { return };
+        let Some(&first) = self.triangles_of(id).first() else {
+            return;
+        };
         // Places on the edges in units of the element, and the step outward; two on each edge,
         // so that both of two finer neighbours are seen. A triangle's edge that is joined to
         // finer ones has its middle on a vertex: quarters avoid it.
@@ -83,7 +92,13 @@ impl Neighbours {
         let probes: &[([f32; 2], [f32; 2])] = if quad { &of_quad } else { &of_triangle };
         for &([a, b], [da, db]) in probes {
             let (s, t) = (s0 + (a + da) * ds, t0 + (b + db) * dt);
-            let inside = s >= 0.0 && t >= 0.0 && if triangle { s + t <= 1.0 } else { s <= 1.0 && t <= 1.0 };
+            let inside = s >= 0.0
+                && t >= 0.0
+                && if triangle {
+                    s + t <= 1.0
+                } else {
+                    s <= 1.0 && t <= 1.0
+                };
             let point = patch.point(s, t);
             let found = if inside {
                 front.element_at(first as usize, patch.side, point)
@@ -132,7 +147,9 @@ impl Neighbours {
         if !id.is_some() || matches!(front.patches[id.index()].shape, Shape::Cluster { .. }) {
             return None;
         }
-        let smooth = front.patches[id.index()].normal.dot(front.patches[patch.index()].normal);
+        let smooth = front.patches[id.index()]
+            .normal
+            .dot(front.patches[patch.index()].normal);
         if smooth < SMOOTH {
             return None;
         }

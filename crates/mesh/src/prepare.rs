@@ -65,9 +65,15 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         .max(largest * 8.0 * f32::EPSILON as f64);
     let finish = |t: usize| scene.finish_of(t);
     let lit: Vec<bool> = (0..scene.triangles.len())
-        .map(|t| SIDES.iter().any(|&side| lit_side(finish(t), side).is_some()))
+        .map(|t| {
+            SIDES
+                .iter()
+                .any(|&side| lit_side(finish(t), side).is_some())
+        })
         .collect();
-    let blocks: Vec<bool> = (0..scene.triangles.len()).map(|t| !finish(t).transparent).collect();
+    let blocks: Vec<bool> = (0..scene.triangles.len())
+        .map(|t| !finish(t).transparent)
+        .collect();
     let groups = Groups::of(&scene, &lit, settings.min_area_m2, tolerance);
     let Contacts { lines, doubled } =
         contacts(&scene, &groups, &blocks, tolerance, settings.min_contact_m);
@@ -115,7 +121,10 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
             }
         }
         if !inside.is_empty() {
-            cuts.push(Cut { triangle: t, lines: inside.into_iter().map(|l| (l.1, l.2)).collect() });
+            cuts.push(Cut {
+                triangle: t,
+                lines: inside.into_iter().map(|l| (l.1, l.2)).collect(),
+            });
         }
     }
     warnings.add(
@@ -164,7 +173,11 @@ impl Edges {
     fn key(scene: &Scene, t: u32, k: usize) -> ((Place, Place), bool) {
         let c = scene.corners(t as usize);
         let (a, b) = (place(c[k]), place(c[(k + 1) % 3]));
-        if a <= b { ((a, b), false) } else { ((b, a), true) }
+        if a <= b {
+            ((a, b), false)
+        } else {
+            ((b, a), true)
+        }
     }
 
     fn entry(&mut self, scene: &Scene, t: u32, k: usize) -> (&mut OnEdge, bool) {
@@ -183,7 +196,11 @@ impl Edges {
 
     fn add_run(&mut self, scene: &Scene, t: u32, k: usize, from: f64, to: f64) {
         let (edge, turned) = self.entry(scene, t, k);
-        let (from, to) = if turned { (1.0 - to, 1.0 - from) } else { (from, to) };
+        let (from, to) = if turned {
+            (1.0 - to, 1.0 - from)
+        } else {
+            (from, to)
+        };
         edge.at.extend([from, to]);
         edge.runs.push((from, to));
     }
@@ -251,13 +268,18 @@ fn divide_one(
 ) -> (Divided, bool) {
     let corners = scene.corners(t as usize);
     let frame = Frame::new(corners.map(|p| p.as_dvec3()));
-    let mut points =
-        vec![Weights { u: 0.0, v: 0.0 }, Weights { u: 1.0, v: 0.0 }, Weights { u: 0.0, v: 1.0 }];
+    let mut points = vec![
+        Weights { u: 0.0, v: 0.0 },
+        Weights { u: 1.0, v: 0.0 },
+        Weights { u: 0.0, v: 1.0 },
+    ];
     let mut positions = corners.to_vec();
     let mut border: [Vec<u32>; 3] = Default::default();
     let mut places: [Vec<f64>; 3] = Default::default();
     for k in 0..3 {
-        let Some((edge, turned)) = edges.of(scene, t, k) else { continue };
+        let Some((edge, turned)) = edges.of(scene, t, k) else {
+            continue;
+        };
         let mut at = edge.at.clone();
         if turned {
             at.reverse();
@@ -296,7 +318,12 @@ fn divide_one(
         };
         let pairs: Vec<[u32; 2]> = lines
             .iter()
-            .map(|&(a, b)| [index(a, &mut points, &mut positions), index(b, &mut points, &mut positions)])
+            .map(|&(a, b)| {
+                [
+                    index(a, &mut points, &mut positions),
+                    index(b, &mut points, &mut positions),
+                ]
+            })
             .collect();
         pieces = cut(&frame, points.clone(), &pairs, tolerance);
         failed = pieces.is_none();
@@ -316,7 +343,14 @@ fn divide_one(
         let size = (b - a).length().max((c - a).length());
         (b - a).cross(c - a).length() > 1e-9 * size * size
     });
-    (Divided { triangle: t, pieces, positions }, failed)
+    (
+        Divided {
+            triangle: t,
+            pieces,
+            positions,
+        },
+        failed,
+    )
 }
 
 fn between(a: DVec3, b: DVec3, t: f64) -> Vec3 {
@@ -326,7 +360,11 @@ fn between(a: DVec3, b: DVec3, t: f64) -> Vec3 {
 /// Index of the border point or corner that stands for the place `at` on edge `k`.
 fn nearest(border: &[u32], places: &[f64], k: usize, at: f64) -> u32 {
     let ends = [(0.0, k as u32), (1.0, (k as u32 + 1) % 3)];
-    let all = places.iter().copied().zip(border.iter().copied()).chain(ends);
+    let all = places
+        .iter()
+        .copied()
+        .zip(border.iter().copied())
+        .chain(ends);
     let mut best = (f64::INFINITY, k as u32);
     for (t, i) in all {
         if (t - at).abs() < best.0 {
@@ -381,13 +419,22 @@ fn rebuild(mut scene: Scene, groups: &Groups, divided: Vec<Divided>) -> Scene {
         .filter(|&(g, _)| g != NONE && touched[g as usize])
         .collect();
     members.sort_unstable();
-    let find = |t: u32| divided.binary_search_by_key(&t, |d| d.triangle).ok().map(|i| &divided[i]);
+    let find = |t: u32| {
+        divided
+            .binary_search_by_key(&t, |d| d.triangle)
+            .ok()
+            .map(|i| &divided[i])
+    };
     let mut positions = std::mem::take(&mut scene.positions);
     let mut fresh: HashMap<u32, Vec<New>> = HashMap::new();
     {
         // `scene.corners` needs the positions; these closures use them directly.
         let uv = |t: usize, w: Weights| {
-            if scene.uvs.is_empty() { Vec2::ZERO } else { scene.uv_at(t, w.u as f32, w.v as f32) }
+            if scene.uvs.is_empty() {
+                Vec2::ZERO
+            } else {
+                scene.uv_at(t, w.u as f32, w.v as f32)
+            }
         };
         for run in members.chunk_by(|a, b| a.0 == b.0) {
             let mut loose: Vec<(u32, [Weights; 3], [Vec3; 3], [bool; 3])> = Vec::new();
@@ -410,7 +457,10 @@ fn rebuild(mut scene: Scene, groups: &Groups, divided: Vec<Divided>) -> Scene {
                     }
                 }
             }
-            let corners = number(&loose.iter().map(|l| (l.2, l.3)).collect::<Vec<_>>(), &mut positions);
+            let corners = number(
+                &loose.iter().map(|l| (l.2, l.3)).collect::<Vec<_>>(),
+                &mut positions,
+            );
             for ((t, w, _, _), corners) in loose.iter().zip(corners) {
                 fresh.entry(*t).or_default().push(New {
                     corners,
@@ -421,7 +471,10 @@ fn rebuild(mut scene: Scene, groups: &Groups, divided: Vec<Divided>) -> Scene {
         }
         // Neighbours outside the groups: only their edges were divided.
         let mut ids: HashMap<Place, u32> = HashMap::new();
-        for d in divided.iter().filter(|d| groups.of[d.triangle as usize] == NONE) {
+        for d in divided
+            .iter()
+            .filter(|d| groups.of[d.triangle as usize] == NONE)
+        {
             let t = d.triangle as usize;
             let index: Vec<u32> = d
                 .positions
@@ -446,7 +499,10 @@ fn rebuild(mut scene: Scene, groups: &Groups, divided: Vec<Divided>) -> Scene {
             }
         }
     }
-    let mut new = Scene { positions, ..Scene::default() };
+    let mut new = Scene {
+        positions,
+        ..Scene::default()
+    };
     let has_uvs = !scene.uvs.is_empty();
     for t in 0..scene.triangles.len() {
         let whole;
@@ -504,7 +560,9 @@ fn number(pieces: &[([Vec3; 3], [bool; 3])], positions: &mut Vec<Vec3>) -> Vec<[
     sides.sort_unstable();
     let mut barriers = Vec::new();
     for run in sides.chunk_by(|a, b| a.0 == b.0) {
-        let [(_, i, k), (_, j, l)] = *run else { continue };
+        let [(_, i, k), (_, j, l)] = *run else {
+            continue;
+        };
         let (p, q) = (3 * i as usize, 3 * j as usize);
         let (k, l) = (k as usize, l as usize);
         if place(pieces[i as usize].0[k]) == place(pieces[j as usize].0[l]) {

@@ -24,7 +24,9 @@ pub fn shade(scene: &Scene, front: &mut Front) {
     let pictures: Vec<Option<Pyramid>> = {
         let mut used = vec![false; scene.textures.len()];
         for f in &scene.finishes {
-            for id in [f.texture, f.emission.as_ref().and_then(|e| e.texture)].into_iter().flatten()
+            for id in [f.texture, f.emission.as_ref().and_then(|e| e.texture)]
+                .into_iter()
+                .flatten()
             {
                 if let Some(u) = used.get_mut(id.index()) {
                     *u = true;
@@ -59,14 +61,22 @@ fn element(
     let id = front.patch[e];
     let patch = &front.patches[id.index()];
     let finish = &scene.finishes[scene.surfaces[patch.surface.index()].finish.index()];
-    let Some(lit) = lit_side(finish, patch.side) else { return (Rgb::BLACK, Rgb::BLACK) };
+    let Some(lit) = lit_side(finish, patch.side) else {
+        return (Rgb::BLACK, Rgb::BLACK);
+    };
     let emission = finish.emission.as_ref().filter(|_| lit.emits);
     let luminance = emission.map_or(Rgb::BLACK, |m| m.luminance);
-    let reflectance = if lit.reflects { finish.reflectance } else { Rgb::BLACK };
+    let reflectance = if lit.reflects {
+        finish.reflectance
+    } else {
+        Rgb::BLACK
+    };
     let emission_picture = emission.and_then(|m| m.texture);
     let triangles = sources.of_patch(id.index());
     if finish.texture.is_none() && emission_picture.is_none() {
-        let coverage = triangles.first().map_or(1.0, |&t| scene.coverage_at(t as usize, 0.0, 0.0));
+        let coverage = triangles
+            .first()
+            .map_or(1.0, |&t| scene.coverage_at(t as usize, 0.0, 0.0));
         return (reflectance, luminance * (LAMBERTIAN * coverage));
     }
     let mut mean = Mean::default();
@@ -76,18 +86,36 @@ fn element(
             for c in &front.cluster_triangles[triangles.start as usize..triangles.end as usize] {
                 let t = c.triangle as usize;
                 let weight = scene.area(t) as f64;
-                sample(scene, pictures, &[c.triangle], scene.corners(t), true, 2, weight, &mut mean);
+                sample(
+                    scene,
+                    pictures,
+                    &[c.triangle],
+                    scene.corners(t),
+                    true,
+                    2,
+                    weight,
+                    &mut mean,
+                );
             }
         }
         shape => {
-            let corners = [patch.point(s0, t0), patch.point(s0 + ds, t0), patch.point(s0, t0 + dt)];
+            let corners = [
+                patch.point(s0, t0),
+                patch.point(s0 + ds, t0),
+                patch.point(s0, t0 + dt),
+            ];
             let triangle = matches!(shape, Shape::Triangle { .. });
-            sample(scene, pictures, triangles, corners, triangle, SAMPLES[0], 1.0, &mut mean);
+            sample(
+                scene, pictures, triangles, corners, triangle, SAMPLES[0], 1.0, &mut mean,
+            );
         }
     }
     let (mean_reflectance, mean_luminance) = mean.finish();
     let only_if = |yes: bool, c: Rgb| if yes { c } else { Rgb::BLACK };
-    (only_if(lit.reflects, mean_reflectance), only_if(lit.emits, mean_luminance) * LAMBERTIAN)
+    (
+        only_if(lit.reflects, mean_reflectance),
+        only_if(lit.emits, mean_luminance) * LAMBERTIAN,
+    )
 }
 
 /// Adds samples of the parallelogram or triangle `corners`, which lies in `triangles`.
@@ -101,27 +129,44 @@ fn sample(
     weight: f64,
     mean: &mut Mean,
 ) {
-    let Some(&first) = triangles.first() else { return };
+    let Some(&first) = triangles.first() else {
+        return;
+    };
     let finish = scene.finish_of(first as usize);
     let emission_picture = finish.emission.as_ref().and_then(|e| e.texture);
     let luminance = finish.emission.as_ref().map_or(Rgb::BLACK, |e| e.luminance);
     let picture = |id: Option<TextureId>| {
-        id.and_then(|id| pictures.get(id.index())).and_then(Option::as_ref)
+        id.and_then(|id| pictures.get(id.index()))
+            .and_then(Option::as_ref)
     };
     let (reflects, emits) = (picture(finish.texture), picture(emission_picture));
     // Texels along both edges decide on how many samples and which level.
-    let texels = [reflects, emits].into_iter().flatten().fold([0.0f32; 2], |most, p| {
-        let [u0, u1, u2] = [a, b, c].map(|p| uv_in(scene, first, p));
-        [most[0].max(p.texels(u1 - u0)), most[1].max(p.texels(u2 - u0))]
-    });
-    let most = if finish.alpha == Alpha::Opaque { SAMPLES[1] } else { 2 * SAMPLES[1] };
+    let texels = [reflects, emits]
+        .into_iter()
+        .flatten()
+        .fold([0.0f32; 2], |most, p| {
+            let [u0, u1, u2] = [a, b, c].map(|p| uv_in(scene, first, p));
+            [
+                most[0].max(p.texels(u1 - u0)),
+                most[1].max(p.texels(u2 - u0)),
+            ]
+        });
+    let most = if finish.alpha == Alpha::Opaque {
+        SAMPLES[1]
+    } else {
+        2 * SAMPLES[1]
+    };
     let n = texels.map(|t| (if t.is_finite() { t.ceil() as u32 } else { most }).clamp(least, most));
     let n = if triangle { [n[0].max(n[1]); 2] } else { n };
     let level = |p: &Pyramid| {
         let [u0, u1, u2] = [a, b, c].map(|p| uv_in(scene, first, p));
         let each = (p.texels(u1 - u0) / n[0] as f32).max(p.texels(u2 - u0) / n[1] as f32);
         // Nearest power of two: a sample stands for about one texel of its level.
-        if each > 1.0 { (each.log2() + 0.5) as usize } else { 0 }
+        if each > 1.0 {
+            (each.log2() + 0.5) as usize
+        } else {
+            0
+        }
     };
     let levels = [reflects.map_or(0, level), emits.map_or(0, level)];
     let each = weight / (n[0] as f64 * n[1] as f64);
@@ -133,7 +178,10 @@ fn sample(
                 (i as f32 + 1.0 / 3.0, j as f32 + 1.0 / 3.0)
             } else {
                 // The other half of the square stands for the inverted cells.
-                ((n[0] - 1 - i) as f32 + 2.0 / 3.0, (n[0] - 1 - j) as f32 + 2.0 / 3.0)
+                (
+                    (n[0] - 1 - i) as f32 + 2.0 / 3.0,
+                    (n[0] - 1 - j) as f32 + 2.0 / 3.0,
+                )
             };
             let (x, y) = (x / n[0] as f32, y / n[1] as f32);
             let p = a + (b - a) * x + (c - a) * y;
@@ -141,10 +189,18 @@ fn sample(
             let coverage = scene.coverage_at(t as usize, u, v);
             let uv = scene.uv_at(t as usize, u, v);
             let (r, l) = if finish.alpha == Alpha::Opaque {
-                let at = |p: Option<&Pyramid>, level| p.map_or(Rgb::WHITE, |p: &Pyramid| p.sample(level, uv));
-                (finish.reflectance * at(reflects, levels[0]), luminance * at(emits, levels[1]))
+                let at = |p: Option<&Pyramid>, level| {
+                    p.map_or(Rgb::WHITE, |p: &Pyramid| p.sample(level, uv))
+                };
+                (
+                    finish.reflectance * at(reflects, levels[0]),
+                    luminance * at(emits, levels[1]),
+                )
             } else {
-                (scene.reflectance_at(t as usize, u, v), scene.luminance_at(t as usize, u, v))
+                (
+                    scene.reflectance_at(t as usize, u, v),
+                    scene.luminance_at(t as usize, u, v),
+                )
             };
             mean.add(r, l, coverage, each);
         }
@@ -174,9 +230,16 @@ impl Mean {
 
     fn finish(&self) -> (Rgb, Rgb) {
         let over = |sum: [f64; 3], w: f64| {
-            if w > 0.0 { Rgb::from(sum.map(|s| (s / w) as f32)) } else { Rgb::BLACK }
+            if w > 0.0 {
+                Rgb::from(sum.map(|s| (s / w) as f32))
+            } else {
+                Rgb::BLACK
+            }
         };
-        (over(self.reflectance, self.covered), over(self.luminance, self.weight))
+        (
+            over(self.reflectance, self.covered),
+            over(self.luminance, self.weight),
+        )
     }
 }
 
@@ -217,7 +280,10 @@ fn barycentric(scene: &Scene, triangle: u32, p: Vec3) -> [f32; 2] {
     let (u, v, w) = (b - a, c - a, p.as_dvec3() - a);
     let n = u.cross(v);
     let nn = n.length_squared().max(1e-300);
-    [(w.cross(v).dot(n) / nn) as f32, (u.cross(w).dot(n) / nn) as f32]
+    [
+        (w.cross(v).dot(n) / nn) as f32,
+        (u.cross(w).dot(n) / nn) as f32,
+    ]
 }
 
 fn uv_in(scene: &Scene, triangle: u32, p: Vec3) -> Vec2 {
@@ -254,7 +320,13 @@ impl Pyramid {
         let mut texels: Vec<[f32; 3]> = texture
             .rgba
             .iter()
-            .map(|t| [linear[t[0] as usize], linear[t[1] as usize], linear[t[2] as usize]])
+            .map(|t| {
+                [
+                    linear[t[0] as usize],
+                    linear[t[1] as usize],
+                    linear[t[2] as usize],
+                ]
+            })
             .collect();
         // What an empty picture means to Texture::sample.
         texels.resize(w as usize * h as usize, [1.0; 3]);
@@ -265,8 +337,14 @@ impl Pyramid {
             for y in 0..nh {
                 for x in 0..nw {
                     // Area of the coarse texel in the fine grid; exact for odd sizes too.
-                    let (x0, x1) = (x as f64 * *w as f64 / nw as f64, (x + 1) as f64 * *w as f64 / nw as f64);
-                    let (y0, y1) = (y as f64 * *h as f64 / nh as f64, (y + 1) as f64 * *h as f64 / nh as f64);
+                    let (x0, x1) = (
+                        x as f64 * *w as f64 / nw as f64,
+                        (x + 1) as f64 * *w as f64 / nw as f64,
+                    );
+                    let (y0, y1) = (
+                        y as f64 * *h as f64 / nh as f64,
+                        (y + 1) as f64 * *h as f64 / nh as f64,
+                    );
                     let (mut sum, mut total) = ([0.0f64; 3], 0.0);
                     for yy in y0 as u32..(y1.ceil() as u32).min(*h) {
                         for xx in x0 as u32..(x1.ceil() as u32).min(*w) {
@@ -284,7 +362,10 @@ impl Pyramid {
             }
             levels.push((nw, nh, coarse));
         }
-        Pyramid { levels, wrap: texture.wrap }
+        Pyramid {
+            levels,
+            wrap: texture.wrap,
+        }
     }
 
     /// Texels of the finest level along a step in texture coordinates.
@@ -295,8 +376,17 @@ impl Pyramid {
 
     fn sample(&self, level: usize, uv: Vec2) -> Rgb {
         let (w, h, texels) = &self.levels[level.min(self.levels.len() - 1)];
-        let bounded = |v: f32| if v.is_finite() && v.abs() < 1.0e6 { v } else { 0.0 };
-        let (x, y) = (bounded(uv.x) * *w as f32 - 0.5, bounded(uv.y) * *h as f32 - 0.5);
+        let bounded = |v: f32| {
+            if v.is_finite() && v.abs() < 1.0e6 {
+                v
+            } else {
+                0.0
+            }
+        };
+        let (x, y) = (
+            bounded(uv.x) * *w as f32 - 0.5,
+            bounded(uv.y) * *h as f32 - 0.5,
+        );
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = (x - x0, y - y0);
         let place = |i: i64, n: u32, wrap: Wrap| -> usize {

@@ -29,9 +29,16 @@ pub fn lit_side(finish: &Finish, side: Side) -> Option<Lit> {
         Side::Back => (finish.back_reflects, finish.back_emits),
     };
     let reflects = reflects_here && shines(finish.reflectance);
-    let emission = finish.emission.as_ref().filter(|e| emits_here && shines(e.luminance));
+    let emission = finish
+        .emission
+        .as_ref()
+        .filter(|e| emits_here && shines(e.luminance));
     let group = emission.map_or(GroupId::NONE, |e| e.group);
-    (reflects || emission.is_some()).then_some(Lit { reflects, emits: emission.is_some(), group })
+    (reflects || emission.is_some()).then_some(Lit {
+        reflects,
+        emits: emission.is_some(),
+        group,
+    })
 }
 
 #[cfg(test)]
@@ -41,17 +48,35 @@ mod tests {
 
     #[test]
     fn back_follows_its_own_rules() {
-        let emission = Emission { luminance: Rgb::WHITE, texture: None, group: GroupId(2) };
-        let mut finish = Finish { emission: Some(emission), ..Finish::default() };
-        assert_eq!(lit_side(&finish, Side::Back), None, "single-sided: the back is black");
+        let emission = Emission {
+            luminance: Rgb::WHITE,
+            texture: None,
+            group: GroupId(2),
+        };
+        let mut finish = Finish {
+            emission: Some(emission),
+            ..Finish::default()
+        };
+        assert_eq!(
+            lit_side(&finish, Side::Back),
+            None,
+            "single-sided: the back is black"
+        );
         finish.back_reflects = true;
         let back = lit_side(&finish, Side::Back).expect("reflects");
-        assert!(back.reflects && !back.emits && !back.group.is_some(), "OBJ: reflects, dark");
+        assert!(
+            back.reflects && !back.emits && !back.group.is_some(),
+            "OBJ: reflects, dark"
+        );
         finish.reflectance = Rgb::BLACK;
         assert_eq!(lit_side(&finish, Side::Back), None);
         let front = lit_side(&finish, Side::Front).expect("a black emitter is an element");
         assert!(front.emits && !front.reflects && front.group == GroupId(2));
         finish.transparent = true;
-        assert_eq!(lit_side(&finish, Side::Front), None, "clear glass is no element");
+        assert_eq!(
+            lit_side(&finish, Side::Front),
+            None,
+            "clear glass is no element"
+        );
     }
 }

@@ -78,15 +78,27 @@ pub(crate) fn mesh(
         .iter()
         .map(|s| SIDES.map(|side| lit_side(&scene.finishes[s.finish.index()], side).is_some()))
         .collect();
-    let wanted: Vec<bool> =
-        scene.surface_of.iter().map(|s| lit[s.index()].contains(&true)).collect();
+    let wanted: Vec<bool> = scene
+        .surface_of
+        .iter()
+        .map(|s| lit[s.index()].contains(&true))
+        .collect();
     let flats = flats(scene, &wanted);
     let sides = |flat: &Flat| lit[flat.surface.index()].iter().filter(|&&l| l).count();
 
-    let largest: f64 = flats.list.iter().map(|f| f.area as f64).sum::<f64>().max(1e-12);
+    let largest: f64 = flats
+        .list
+        .iter()
+        .map(|f| f.area as f64)
+        .sum::<f64>()
+        .max(1e-12);
     let mut area = settings.max_area_m2.max((largest * 1e-9) as f32);
     let mut cos_cone = CONE;
-    let mut plan = Plan { patches: Vec::new(), clustered: Vec::new(), groups: Vec::new() };
+    let mut plan = Plan {
+        patches: Vec::new(),
+        clustered: Vec::new(),
+        groups: Vec::new(),
+    };
     for _ in 0..ROUNDS {
         // Grids alone first: cheap, and most often what exceeds the limit.
         let grids = |area: f32| -> usize {
@@ -113,7 +125,10 @@ pub(crate) fn mesh(
                 .map(|&n| {
                     let t = plan.clustered[first] as usize;
                     first += n as usize;
-                    lit[scene.surface_of[t].index()].iter().filter(|&&l| l).count()
+                    lit[scene.surface_of[t].index()]
+                        .iter()
+                        .filter(|&&l| l)
+                        .count()
                 })
                 .sum()
         };
@@ -143,22 +158,34 @@ fn cut(
     cos_cone: f32,
     density: impl Fn(u32) -> u32,
 ) -> Plan {
-    let mut plan = Plan { patches: Vec::new(), clustered: Vec::new(), groups: Vec::new() };
+    let mut plan = Plan {
+        patches: Vec::new(),
+        clustered: Vec::new(),
+        groups: Vec::new(),
+    };
     // (surface, region) of each tiny shape: pieces of a larger region stay within it, or a
     // cluster would join the two sides of a contact line.
     let mut tiny: Vec<(u32, u32, u32)> = Vec::new();
     for (i, flat) in flats.list.iter().enumerate() {
         if cluster && flat.area < TINY * area {
-            let region = if flat.region_area > area { flat.region } else { u32::MAX };
+            let region = if flat.region_area > area {
+                flat.region
+            } else {
+                u32::MAX
+            };
             tiny.push((flat.surface.0, region, i as u32));
         } else {
-            plan.patches.push((i as u32, grid(flat, area).map(&density)));
+            plan.patches
+                .push((i as u32, grid(flat, area).map(&density)));
         }
     }
     tiny.par_sort_unstable();
-    let limits = Limits { extent_m: area.sqrt(), area_m2: area, cos_cone };
-    let runs: Vec<&[(u32, u32, u32)]> =
-        tiny.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).collect();
+    let limits = Limits {
+        extent_m: area.sqrt(),
+        area_m2: area,
+        cos_cone,
+    };
+    let runs: Vec<&[(u32, u32, u32)]> = tiny.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).collect();
     let parts: Vec<(Vec<Item>, Vec<u32>)> = runs
         .par_iter()
         .map(|run| {
@@ -193,7 +220,10 @@ fn grid(flat: &Flat, area: f32) -> [u32; 2] {
     }
     let (a, b) = (flat.edge_u.length(), flat.edge_v.length());
     let longest = STRETCH * area.sqrt();
-    let least = [cells((a / longest - 1e-4).ceil()), cells((b / longest - 1e-4).ceil())];
+    let least = [
+        cells((a / longest - 1e-4).ceil()),
+        cells((b / longest - 1e-4).ceil()),
+    ];
     let ideal = (needed * a / b).sqrt();
     let mut best = ([1, 1], f32::INFINITY);
     for nu in [cells(ideal.floor()), cells(ideal.ceil())] {
@@ -215,7 +245,9 @@ fn build(scene: &Scene, flats: &Flats, plan: &Plan) -> Front {
         let run = flat.triangles.start as usize..flat.triangles.end as usize;
         let finish = &scene.finishes[scene.surfaces[flat.surface.index()].finish.index()];
         for side in SIDES {
-            let Some(lit) = lit_side(finish, side) else { continue };
+            let Some(lit) = lit_side(finish, side) else {
+                continue;
+            };
             // Seen from behind, the edges change places.
             let (edge_u, edge_v, grid) = match side {
                 Side::Front => (flat.edge_u, flat.edge_v, [nu, nv]),
@@ -223,11 +255,26 @@ fn build(scene: &Scene, flats: &Flats, plan: &Plan) -> Front {
             };
             let origin = flat.origin;
             let shape = if flat.parallelogram {
-                Shape::Parallelogram { origin, edge_u, edge_v }
+                Shape::Parallelogram {
+                    origin,
+                    edge_u,
+                    edge_v,
+                }
             } else {
-                Shape::Triangle { origin, edge_u, edge_v }
+                Shape::Triangle {
+                    origin,
+                    edge_u,
+                    edge_v,
+                }
             };
-            front.add_patch(flat.surface, side, shape, grid, lit.group, &flats.triangles[run.clone()]);
+            front.add_patch(
+                flat.surface,
+                side,
+                shape,
+                grid,
+                lit.group,
+                &flats.triangles[run.clone()],
+            );
         }
     }
     let mut first = 0;
@@ -237,14 +284,20 @@ fn build(scene: &Scene, flats: &Flats, plan: &Plan) -> Front {
         let t = triangles[0] as usize;
         let surface = scene.surface_of[t];
         for side in SIDES {
-            let Some(lit) = lit_side(scene.finish_of(t), side) else { continue };
+            let Some(lit) = lit_side(scene.finish_of(t), side) else {
+                continue;
+            };
             if let [_] = triangles {
                 let [origin, b, c] = scene.corners(t);
                 let (edge_u, edge_v) = match side {
                     Side::Front => (b - origin, c - origin),
                     Side::Back => (c - origin, b - origin),
                 };
-                let shape = Shape::Triangle { origin, edge_u, edge_v };
+                let shape = Shape::Triangle {
+                    origin,
+                    edge_u,
+                    edge_v,
+                };
                 front.add_patch(surface, side, shape, [1, 1], lit.group, triangles);
             } else {
                 front.add_cluster(scene, surface, side, lit.group, triangles);

@@ -11,7 +11,12 @@ fn v(x: f32, y: f32, z: f32) -> Vec3 {
 }
 
 fn settings(max_area_m2: f32) -> MeshSettings {
-    MeshSettings { max_area_m2, min_edge_m: 0.01, max_elements: 100_000, cluster: true }
+    MeshSettings {
+        max_area_m2,
+        min_edge_m: 0.01,
+        max_elements: 100_000,
+        cluster: true,
+    }
 }
 
 /// The reference case `leak-partition`: 4 x 3 x 2.5 m, partition at x = 2.
@@ -20,17 +25,45 @@ fn partitioned() -> Scene {
     let grey = b.matte("grey", 0.5, 0.5, 0.5);
     let thin = b.thin("thin", 0.5, 0.5, 0.5);
     let lines: [(&str, [Vec3; 4]); 6] = [
-        ("floor", [v(0., 0., 0.), v(4., 0., 0.), v(4., 3., 0.), v(0., 3., 0.)]),
-        ("ceiling", [v(0., 3., 2.5), v(4., 3., 2.5), v(4., 0., 2.5), v(0., 0., 2.5)]),
-        ("x0", [v(0., 0., 0.), v(0., 3., 0.), v(0., 3., 2.5), v(0., 0., 2.5)]),
-        ("x1", [v(4., 0., 2.5), v(4., 3., 2.5), v(4., 3., 0.), v(4., 0., 0.)]),
-        ("y0", [v(0., 0., 2.5), v(4., 0., 2.5), v(4., 0., 0.), v(0., 0., 0.)]),
-        ("y1", [v(0., 3., 0.), v(4., 3., 0.), v(4., 3., 2.5), v(0., 3., 2.5)]),
+        (
+            "floor",
+            [v(0., 0., 0.), v(4., 0., 0.), v(4., 3., 0.), v(0., 3., 0.)],
+        ),
+        (
+            "ceiling",
+            [
+                v(0., 3., 2.5),
+                v(4., 3., 2.5),
+                v(4., 0., 2.5),
+                v(0., 0., 2.5),
+            ],
+        ),
+        (
+            "x0",
+            [v(0., 0., 0.), v(0., 3., 0.), v(0., 3., 2.5), v(0., 0., 2.5)],
+        ),
+        (
+            "x1",
+            [v(4., 0., 2.5), v(4., 3., 2.5), v(4., 3., 0.), v(4., 0., 0.)],
+        ),
+        (
+            "y0",
+            [v(0., 0., 2.5), v(4., 0., 2.5), v(4., 0., 0.), v(0., 0., 0.)],
+        ),
+        (
+            "y1",
+            [v(0., 3., 0.), v(4., 3., 0.), v(4., 3., 2.5), v(0., 3., 2.5)],
+        ),
     ];
     for (name, points) in lines {
         b.on(name, grey).polygon(&points);
     }
-    b.on("partition", thin).polygon(&[v(2., 0., 0.), v(2., 3., 0.), v(2., 3., 2.5), v(2., 0., 2.5)]);
+    b.on("partition", thin).polygon(&[
+        v(2., 0., 0.),
+        v(2., 3., 0.),
+        v(2., 3., 2.5),
+        v(2., 0., 2.5),
+    ]);
     b.build()
 }
 
@@ -44,7 +77,11 @@ fn surface_areas(scene: &Scene) -> Vec<f64> {
     let mut areas = vec![0.0; scene.surfaces.len()];
     for (i, s) in scene.surfaces.iter().enumerate() {
         for t in s.triangles.clone() {
-            assert_eq!(scene.surface_of[t as usize].index(), i, "triangles of a surface are one run");
+            assert_eq!(
+                scene.surface_of[t as usize].index(),
+                i,
+                "triangles of a surface are one run"
+            );
             areas[i] += scene.area(t as usize) as f64;
         }
     }
@@ -61,12 +98,19 @@ fn open_edges(scene: &Scene, surface: usize) -> Vec<(Vec3, Vec3)> {
         let c = scene.corners(t as usize);
         for k in 0..3 {
             let (a, b) = (c[k], c[(k + 1) % 3]);
-            let (key, sign) =
-                if bits(a) < bits(b) { ((bits(a), bits(b)), 1) } else { ((bits(b), bits(a)), -1) };
+            let (key, sign) = if bits(a) < bits(b) {
+                ((bits(a), bits(b)), 1)
+            } else {
+                ((bits(b), bits(a)), -1)
+            };
             count.entry(key).or_insert((0, a, b)).0 += sign;
         }
     }
-    count.into_values().filter(|e| e.0 != 0).map(|e| (e.1, e.2)).collect()
+    count
+        .into_values()
+        .filter(|e| e.0 != 0)
+        .map(|e| (e.1, e.2))
+        .collect()
 }
 
 /// Every surface of `new` has the outline of `old` and no gap inside: an edge that one triangle
@@ -88,7 +132,10 @@ fn assert_watertight(old: &Scene, new: &Scene) {
                 let t = ((p - c).dot(d - c) / (d - c).length_squared()).clamp(0.0, 1.0);
                 p.distance(c + (d - c) * t) < 1e-5
             };
-            assert!(before.iter().any(|&e| on(a, e) && on(b, e)), "an edge opened at {a} {b}");
+            assert!(
+                before.iter().any(|&e| on(a, e) && on(b, e)),
+                "an edge opened at {a} {b}"
+            );
         }
     }
 }
@@ -116,7 +163,11 @@ fn partition_divides_floor_ceiling_and_walls() {
             // One unit in the last place of 2.0, from the sum origin + s * edge.
             let left = xs.iter().all(|&x| x <= 2.0 + 2.4e-7);
             let right = xs.iter().all(|&x| x >= 2.0 - 2.4e-7);
-            assert!(left || right, "{}: element {e} lies on both sides: {xs:?}", kind.name());
+            assert!(
+                left || right,
+                "{}: element {e} lies on both sides: {xs:?}",
+                kind.name()
+            );
         }
         // Each of the four cut rectangles is two rectangles again, each side of the partition
         // and both end walls one: 4 * 2 + 2 + 2.
@@ -140,11 +191,21 @@ fn small_things_do_not_cut_and_large_ones_do() {
     for (size, cuts) in [(0.05, false), (1.0, true)] {
         let mut b = Builder::new("on the floor");
         let grey = b.matte("grey", 0.5, 0.5, 0.5);
-        b.on("floor", grey).polygon(&[v(-3., -3., 0.), v(3., -3., 0.), v(3., 3., 0.), v(-3., 3., 0.)]);
-        b.on("box", grey).block(v(0.2, 0.3, 0.0), v(0.2 + size, 0.3 + size, 0.5), u8::MAX);
+        b.on("floor", grey).polygon(&[
+            v(-3., -3., 0.),
+            v(3., -3., 0.),
+            v(3., 3., 0.),
+            v(-3., 3., 0.),
+        ]);
+        b.on("box", grey)
+            .block(v(0.2, 0.3, 0.0), v(0.2 + size, 0.3 + size, 0.5), u8::MAX);
         let scene = b.build();
         let (new, _) = prepared(&scene, 0.25);
-        assert_eq!(new.triangles.len() > scene.triangles.len(), cuts, "{size} m");
+        assert_eq!(
+            new.triangles.len() > scene.triangles.len(),
+            cuts,
+            "{size} m"
+        );
         assert_watertight(&scene, &new);
     }
 }
@@ -154,8 +215,14 @@ fn partition_that_ends_in_the_room_still_parts_elements() {
     // Both ends hang free: one line inside the floor that encloses nothing.
     let mut b = Builder::new("screen");
     let grey = b.thin("grey", 0.5, 0.5, 0.5);
-    b.on("floor", grey).polygon(&[v(0., 0., 0.), v(4., 0., 0.), v(4., 3., 0.), v(0., 3., 0.)]);
-    b.on("screen", grey).polygon(&[v(2., 0.7, 0.), v(2., 2.1, 0.), v(2., 2.1, 1.), v(2., 0.7, 1.)]);
+    b.on("floor", grey)
+        .polygon(&[v(0., 0., 0.), v(4., 0., 0.), v(4., 3., 0.), v(0., 3., 0.)]);
+    b.on("screen", grey).polygon(&[
+        v(2., 0.7, 0.),
+        v(2., 2.1, 0.),
+        v(2., 2.1, 1.),
+        v(2., 0.7, 1.),
+    ]);
     let scene = b.build();
     let (new, _) = prepared(&scene, 0.25);
     assert_watertight(&scene, &new);
@@ -176,7 +243,10 @@ fn partition_that_ends_in_the_room_still_parts_elements() {
                     high = high.max(x);
                 }
             }
-            assert!(low > high || high <= 2.0 + 1e-6 || low >= 2.0 - 1e-6, "{low}..{high}");
+            assert!(
+                low > high || high <= 2.0 + 1e-6 || low >= 2.0 - 1e-6,
+                "{low}..{high}"
+            );
         }
     }
 }
@@ -185,15 +255,22 @@ fn partition_that_ends_in_the_room_still_parts_elements() {
 fn line_along_the_diagonal_of_a_floor_is_not_joined_again() {
     let mut b = Builder::new("diagonal");
     let grey = b.thin("grey", 0.5, 0.5, 0.5);
-    b.on("floor", grey).polygon(&[v(0., 0., 0.), v(3., 0., 0.), v(3., 3., 0.), v(0., 3., 0.)]);
-    b.on("wall", grey).polygon(&[v(0., 0., 0.), v(3., 3., 0.), v(3., 3., 1.), v(0., 0., 1.)]);
-    b.on("cross", grey).polygon(&[v(3., 0., 0.), v(0., 3., 0.), v(0., 3., -1.), v(3., 0., -1.)]);
+    b.on("floor", grey)
+        .polygon(&[v(0., 0., 0.), v(3., 0., 0.), v(3., 3., 0.), v(0., 3., 0.)]);
+    b.on("wall", grey)
+        .polygon(&[v(0., 0., 0.), v(3., 3., 0.), v(3., 3., 1.), v(0., 0., 1.)]);
+    b.on("cross", grey)
+        .polygon(&[v(3., 0., 0.), v(0., 3., 0.), v(0., 3., -1.), v(3., 0., -1.)]);
     let scene = b.build();
     let (new, _) = prepared(&scene, 4.0);
     assert_watertight(&scene, &new);
     let front = Kind::Uniform.build(settings(4.0)).initial(&new);
     // Four triangles, two sides each.
-    let floor = front.patches.iter().filter(|p| p.normal.z.abs() > 0.5).count();
+    let floor = front
+        .patches
+        .iter()
+        .filter(|p| p.normal.z.abs() > 0.5)
+        .count();
     assert_eq!(floor, 8);
 }
 
@@ -201,8 +278,10 @@ fn line_along_the_diagonal_of_a_floor_is_not_joined_again() {
 fn rug_in_the_floor_is_reported() {
     let mut b = Builder::new("rug");
     let grey = b.matte("grey", 0.5, 0.5, 0.5);
-    b.on("floor", grey).polygon(&[v(0., 0., 0.), v(4., 0., 0.), v(4., 3., 0.), v(0., 3., 0.)]);
-    b.on("rug", grey).polygon(&[v(1., 1., 0.), v(2., 1., 0.), v(2., 2., 0.), v(1., 2., 0.)]);
+    b.on("floor", grey)
+        .polygon(&[v(0., 0., 0.), v(4., 0., 0.), v(4., 3., 0.), v(0., 3., 0.)]);
+    b.on("rug", grey)
+        .polygon(&[v(1., 1., 0.), v(2., 1., 0.), v(2., 2., 0.), v(1., 2., 0.)]);
     let (_, warnings) = prepared(&b.build(), 0.25);
     assert_eq!(warnings.len(), 1);
 }
@@ -212,7 +291,11 @@ fn texture_coordinates_are_interpolated() {
     let mut scene = partitioned();
     // u = x / 4, v = y / 3 on every triangle.
     scene.uvs = (0..scene.triangles.len())
-        .map(|t| scene.corners(t).map(|p| luxel_core::Vec2::new(p.x / 4.0, p.y / 3.0)))
+        .map(|t| {
+            scene
+                .corners(t)
+                .map(|p| luxel_core::Vec2::new(p.x / 4.0, p.y / 3.0))
+        })
         .collect();
     let (new, _) = prepared(&scene, 0.25);
     assert_eq!(new.uvs.len(), new.triangles.len());
@@ -227,9 +310,15 @@ fn texture_coordinates_are_interpolated() {
 fn too_many_lines_are_reported() {
     let scene = partitioned();
     let mut warnings = Warnings::default();
-    let settings = PrepareSettings { max_lines: 0, ..PrepareSettings::for_mesh(&settings(0.25)) };
+    let settings = PrepareSettings {
+        max_lines: 0,
+        ..PrepareSettings::for_mesh(&settings(0.25))
+    };
     prepare(scene, &settings, &mut warnings);
-    assert!(warnings.iter().any(|w| w.what.contains("too many")), "{warnings:?}");
+    assert!(
+        warnings.iter().any(|w| w.what.contains("too many")),
+        "{warnings:?}"
+    );
 }
 
 proptest! {
