@@ -16,6 +16,7 @@ pub mod texture;
 pub mod warning;
 
 pub use front::{Front, FrontChange, Patch, RefinementWish, Shape, Side};
+pub use glam;
 pub use glam::{DVec3, Vec2, Vec3};
 pub use hierarchy::Hierarchy;
 pub use layers::Layers;

@@ -1,1 +1,29 @@
-//! placeholder
+//! Files in and out: scene files into a [`Scene`](luxel_core::Scene), lit scenes and solutions
+//! out of it.
+//!
+//! Only this crate knows file formats. Scene files are dirty, and may be hostile: what can be
+//! repaired is repaired and becomes a [`Warning`](luxel_core::Warning) with its place; what
+//! cannot is an [`Error`] of one line. No bytes make a reader panic, and nothing is allocated
+//! by a count in a file before that count was held against the bytes that are there.
+//!
+//! - glTF 2.0 and GLB: [`mod@gltf_reader`]
+//! - OBJ with MTL: [`mod@obj_reader`]
+//! - geometry made fit for lighting: [`mod@repair`]
+//! - light added from the command line: [`mod@scene_ops`]
+
+mod assemble;
+mod budget;
+mod document;
+mod error;
+pub mod gltf_reader;
+mod json;
+pub mod obj_reader;
+mod options;
+mod picture;
+pub mod repair;
+pub mod scene_ops;
+mod uri;
+
+pub use document::{Document, ExternalImage, GltfSource, Kind, Resolver, Source, read, read_bytes};
+pub use error::{Error, Place};
+pub use options::{Back, ReadOptions, Up};
