@@ -7,8 +7,10 @@
 
 use crate::contract::{Problem, Progress, Solver};
 use crate::photometry::{gather, rho};
-use crate::sweep::{Sweep, factors, for_each_row, reflected_outside};
-use luxel_core::{FrontChange, Solution};
+use crate::sweep::{Sweep, factors, reflected_outside};
+use luxel_core::{ElementId, FrontChange, Solution};
+use luxel_transport::FactorRow;
+use rayon::prelude::*;
 
 /// Jacobi iteration.
 #[derive(Clone, Debug, Default)]
@@ -32,22 +34,32 @@ impl Solver for Jacobi {
     fn step(&mut self, problem: &Problem<'_>) -> Progress {
         self.sweep.begin(problem);
         let columns = problem.columns();
-        let mut incident = vec![0.0; columns];
         let (mut entries, mut from_outside) = (0, 0.0);
         if let Some(factors) = factors(problem) {
             let Sweep {
                 exitance, change, ..
             } = &mut self.sweep;
-            for_each_row(factors, |i, row| {
-                gather(row, exitance, problem.outside, &mut incident);
-                for k in 0..columns {
-                    let at = i * columns + k;
-                    let new = problem.emission[at] + rho(problem, i, k) * incident[k];
-                    change[at] = new - exitance[at];
-                }
-                entries += row.entries.len() as u64;
-                from_outside += reflected_outside(problem, i, row);
-            });
+            let old = &*exitance;
+            let parts: Vec<(u64, f64)> = change
+                .par_chunks_mut(columns)
+                .enumerate()
+                .map_init(
+                    || (FactorRow::default(), vec![0.0; columns]),
+                    |(row, incident), (i, change)| {
+                        factors.row(ElementId::from(i), row);
+                        gather(row, old, problem.outside, incident);
+                        for (k, d) in change.iter_mut().enumerate() {
+                            let at = i * columns + k;
+                            *d = problem.emission[at] + rho(problem, i, k) * incident[k] - old[at];
+                        }
+                        (row.entries.len() as u64, reflected_outside(problem, i, row))
+                    },
+                )
+                .collect();
+            for (e, o) in parts {
+                entries += e;
+                from_outside += o;
+            }
             for (b, d) in exitance.iter_mut().zip(change) {
                 *b += *d;
             }

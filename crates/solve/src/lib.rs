@@ -5,6 +5,7 @@
 //! and restarts from the residual after a change of front.
 
 pub mod ambient;
+pub mod balance;
 pub mod contract;
 pub mod direct;
 pub mod gauss_seidel;
@@ -17,6 +18,7 @@ pub mod southwell;
 pub mod stochastic_jacobi;
 mod sweep;
 
+pub use balance::{Account, EnergyBalance};
 pub use contract::{Problem, Progress, Solver, Transport};
 pub use direct::Direct;
 pub use gauss_seidel::GaussSeidel;

@@ -20,7 +20,7 @@
 //! variates); [Veach95] (balance heuristic).
 
 use crate::contract::Problem;
-use crate::photometry::weight;
+use crate::photometry::{sum_over, weight};
 use luxel_core::ElementId;
 use luxel_core::layers::BANDS;
 use luxel_transport::sampling::hash;
@@ -71,15 +71,15 @@ pub(crate) struct Sent<'a> {
 
 /// Area-weighted mean of each column.
 pub(crate) fn mean(area: &[f64], values: &[f32], columns: usize) -> Vec<f32> {
-    let mut sum = vec![0.0f64; columns];
-    let mut whole = 0.0;
-    for (a, row) in area.iter().zip(values.chunks_exact(columns)) {
-        whole += a;
-        for (s, v) in sum.iter_mut().zip(row) {
-            *s += a * *v as f64;
+    let sum = sum_over(area.len(), columns + 1, |i, sum| {
+        sum[columns] += area[i];
+        for (s, v) in sum.iter_mut().zip(&values[i * columns..(i + 1) * columns]) {
+            *s += area[i] * *v as f64;
         }
-    }
-    sum.iter()
+    });
+    let whole = sum[columns];
+    sum[..columns]
+        .iter()
         .map(|s| if whole > 0.0 { (s / whole) as f32 } else { 0.0 })
         .collect()
 }
@@ -116,15 +116,14 @@ impl LinePlan {
             problem.area[i].sqrt() * rho.max(0.1)
         };
 
-        let rows = || sent.exitance.chunks_exact(columns);
-        let mut whole = vec![0.0f64; groups];
-        let mut receiving = 0.0;
-        for (i, row) in rows().enumerate() {
-            receiving += receives(i);
-            for (g, w) in whole.iter_mut().enumerate() {
-                *w += problem.area[i] * deviation(row, g);
+        let row = |i: usize| &sent.exitance[i * columns..(i + 1) * columns];
+        let whole = sum_over(n, groups + 1, |i, sum| {
+            for g in 0..groups {
+                sum[g] += problem.area[i] * deviation(row(i), g);
             }
-        }
+            sum[groups] += receives(i);
+        });
+        let (whole, receiving) = (&whole[..groups], whole[groups]);
         let lit = whole.iter().filter(|w| **w > 0.0).count();
         let (by_receiving, by_sending) = if lit > 0 {
             (0.5, 0.5 / lit as f64)
@@ -135,32 +134,34 @@ impl LinePlan {
         self.count.resize(n, 0);
         self.density.resize(n, 0.0);
         self.next.resize(n, 0);
-        for (i, row) in rows().enumerate() {
-            let area = problem.area[i];
-            if area <= 0.0 {
-                (self.count[i], self.density[i]) = (0, 0.0);
-                continue;
-            }
-            let sends: f64 = whole
-                .iter()
-                .enumerate()
-                .filter(|(_, w)| **w > 0.0)
-                .map(|(g, w)| area * deviation(row, g) / w)
-                .sum();
-            let share = by_receiving * receives(i) / receiving + by_sending * sends;
-            let expected = lines as f64 * share;
-            let (count, effective) = if expected >= 1.0 {
-                // Nearest power of two: whole nets of the sequence are worth more than the
-                // exact number.
-                let n = 1u32 << (expected.log2().round() as u32).min(24);
-                (n, n as f64)
-            } else {
-                let dice = hash([seed, i as u32]) as f64 / (1u64 << 32) as f64;
-                ((dice < expected) as u32, expected)
-            };
-            self.count[i] = count;
-            self.density[i] = (effective / area) as f32;
-        }
+        self.count
+            .par_iter_mut()
+            .zip(&mut self.density)
+            .enumerate()
+            .for_each(|(i, (count, q))| {
+                let area = problem.area[i];
+                if area <= 0.0 {
+                    (*count, *q) = (0, 0.0);
+                    return;
+                }
+                let sends: f64 = (0..groups)
+                    .filter(|&g| whole[g] > 0.0)
+                    .map(|g| area * deviation(row(i), g) / whole[g])
+                    .sum();
+                let share = by_receiving * receives(i) / receiving + by_sending * sends;
+                let expected = lines as f64 * share;
+                let effective = if expected >= 1.0 {
+                    // Nearest power of two: whole nets of the sequence are worth more than the
+                    // exact number.
+                    *count = 1 << (expected.log2().round() as u32).min(24);
+                    *count as f64
+                } else {
+                    let dice = hash([seed, i as u32]) as f64 / (1u64 << 32) as f64;
+                    *count = (dice < expected) as u32;
+                    expected
+                };
+                *q = (effective / area) as f32;
+            });
     }
 
     /// Casts the lines of the plan. Replaces `incident` by the incident flux per area, lm/m²,

@@ -5,6 +5,7 @@ use luxel_core::layers::BANDS;
 use luxel_core::quantity::LUMINANCE_WEIGHTS;
 use luxel_core::{ElementId, Solution};
 use luxel_transport::FactorRow;
+use rayon::prelude::*;
 
 /// Share of an error below which an `f32` cannot show it.
 pub(crate) const F32_RESOLUTION: f64 = 1.0 / (1 << 24) as f64;
@@ -28,6 +29,30 @@ pub(crate) fn absolute(row: &[f64]) -> f64 {
         .enumerate()
         .map(|(k, v)| weight(k) * v.abs())
         .sum()
+}
+
+/// Elements of one partial sum. Independent of the thread count, or bits would depend on it.
+const SUM_CHUNK: usize = 4096;
+
+/// Sum of `terms` numbers over `n` elements, in parallel, in one order.
+pub(crate) fn sum_over(n: usize, terms: usize, add: impl Fn(usize, &mut [f64]) + Sync) -> Vec<f64> {
+    let parts: Vec<Vec<f64>> = (0..n.div_ceil(SUM_CHUNK))
+        .into_par_iter()
+        .map(|chunk| {
+            let mut sum = vec![0.0; terms];
+            for i in chunk * SUM_CHUNK..n.min((chunk + 1) * SUM_CHUNK) {
+                add(i, &mut sum);
+            }
+            sum
+        })
+        .collect();
+    let mut whole = vec![0.0; terms];
+    for part in &parts {
+        for (w, p) in whole.iter_mut().zip(part) {
+            *w += p;
+        }
+    }
+    whole
 }
 
 /// Flux of exitance, lm: sum of A times the photometric absolute value.

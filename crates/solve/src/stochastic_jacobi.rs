@@ -23,7 +23,7 @@
 use crate::contract::{Problem, Progress, Solver, Transport};
 use crate::kinds::SolverSettings;
 use crate::line_pass::{Level, LinePlan, Sent, mean};
-use crate::photometry::{F32_RESOLUTION, absolute_flux, rho, share, weight};
+use crate::photometry::{F32_RESOLUTION, absolute_flux, rho, share, sum_over, weight};
 use luxel_core::{FrontChange, Solution};
 use luxel_transport::LocalLines;
 use luxel_transport::sampling::hash;
@@ -221,14 +221,11 @@ impl Chain {
         } else {
             unshot.max(before)
         };
-        let all: f64 = (0..problem.len())
-            .map(|i| {
-                let row: f64 = (0..columns)
-                    .map(|k| weight(k) * self.exitance(problem, i, k).abs())
-                    .sum();
-                problem.area[i] * row
-            })
-            .sum();
+        let all = sum_over(problem.len(), 1, |i, sum| {
+            for k in 0..columns {
+                sum[0] += problem.area[i] * weight(k) * self.exitance(problem, i, k).abs();
+            }
+        })[0];
         if passes > 0 {
             self.decay = share(unshot, before).min(0.99);
         }
@@ -277,18 +274,11 @@ fn fill(values: &mut [f32], columns: usize, value: impl Fn(usize, usize, usize) 
 /// Absolute photometric flux, lm.
 fn flux(problem: &Problem<'_>, exitance: &[f32]) -> f64 {
     let columns = problem.columns();
-    problem
-        .area
-        .iter()
-        .zip(exitance.chunks_exact(columns))
-        .map(|(a, row)| {
-            a * row
-                .iter()
-                .enumerate()
-                .map(|(k, v)| weight(k) * v.abs() as f64)
-                .sum::<f64>()
-        })
-        .sum()
+    sum_over(problem.len(), 1, |i, sum| {
+        for (k, v) in exitance[i * columns..(i + 1) * columns].iter().enumerate() {
+            sum[0] += problem.area[i] * weight(k) * v.abs() as f64;
+        }
+    })[0]
 }
 
 impl StochasticJacobi {
