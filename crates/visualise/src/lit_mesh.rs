@@ -68,6 +68,8 @@ pub struct LitMesh {
     pub parts: Vec<LitPart>,
     /// First of the two triangles of each plain quadrilateral element: its diagonal is free.
     quads: Vec<u32>,
+    /// Elements of the front that it was built for.
+    elements: usize,
 }
 
 impl LitMesh {
@@ -94,7 +96,7 @@ impl LitMesh {
             .par_iter()
             .map(|elements| Builder::new(scene, front, &sources, elements).finish(caster))
             .collect();
-        let mut mesh = LitMesh::default();
+        let mut mesh = LitMesh { elements: front.len(), ..LitMesh::default() };
         for (part, elements) in built.into_iter().zip(&runs) {
             mesh.append(part, front, elements, !scene.uvs.is_empty());
         }
@@ -120,6 +122,11 @@ impl LitMesh {
             vertices: vertex..self.positions.len() as u32,
             triangles: triangle..self.triangles.len() as u32,
         });
+    }
+
+    /// Number of elements of the front that the mesh was built for.
+    pub fn elements(&self) -> usize {
+        self.elements
     }
 
     /// Where light has to be asked: one receiver a vertex, in order.
