@@ -20,15 +20,21 @@ const BUNDLE: usize = 16;
 
 fn main() {
     let setting = |name: &str, usual: usize| {
-        std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(usual)
+        std::env::var(name)
+            .ok()
+            .and_then(|v| v.parse().ok())
+            .unwrap_or(usual)
     };
     let rounds = setting("LUXEL_ROUNDS", 3);
     let embree = std::env::var_os("LUXEL_EMBREE").map(|path| embree::Library::open(&path));
     if embree.is_none() {
         println!("LUXEL_EMBREE is not set: our figures only");
     }
-    let scenes: [(&str, fn() -> Scene, f32); 3] =
-        [("cornell", cornell, 0.05), ("room", room, 0.1), ("hall", hall, 0.1)];
+    let scenes: [(&str, fn() -> Scene, f32); 3] = [
+        ("cornell", cornell, 0.05),
+        ("room", room, 0.1),
+        ("hall", hall, 0.1),
+    ];
     for (name, make, patch_m) in scenes.into_iter().take(setting("LUXEL_SCENES", 3)) {
         let scene = Arc::new(make());
         bench(name, &scene, patch_m, rounds, embree.as_ref());
@@ -55,8 +61,9 @@ fn bench(
     let mut random = Random(7);
     let spread = Spread::new(scene);
     let cosine: Vec<Ray> = (0..COUNT).map(|_| spread.cosine(&mut random)).collect();
-    let shadow: Vec<Ray> =
-        (0..COUNT).flat_map(|_| spread.facing(&mut random, 0.0, 1)).collect();
+    let shadow: Vec<Ray> = (0..COUNT)
+        .flat_map(|_| spread.facing(&mut random, 0.0, 1))
+        .collect();
     let bundles: Vec<Ray> = (0..COUNT / BUNDLE)
         .flat_map(|_| spread.facing(&mut random, patch_m, BUNDLE))
         .collect();
@@ -68,7 +75,10 @@ fn bench(
             [("MEDIUM", embree::MEDIUM), ("HIGH", embree::HIGH)].map(|(label, quality)| {
                 let started = process_seconds();
                 let tree = library.build(scene, quality);
-                println!("  Embree {label}: built in {:.3} CPU s", process_seconds() - started);
+                println!(
+                    "  Embree {label}: built in {:.3} CPU s",
+                    process_seconds() - started
+                );
                 (label, tree)
             })
         })
@@ -144,7 +154,10 @@ fn timed(work: impl FnOnce()) -> f64 {
 
 #[cfg(unix)]
 fn clock(id: libc::clockid_t) -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    let mut time = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
     // SAFETY: writes one timespec.
     unsafe { libc::clock_gettime(id, &mut time) };
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
@@ -203,10 +216,17 @@ impl Spread<'_> {
     /// A point and the unit normal there.
     fn point(&self, random: &mut Random) -> (Vec3, Vec3) {
         let at = f64::from(random.next()) * self.sum[self.sum.len() - 1];
-        let triangle = self.sum.partition_point(|&s| s <= at).clamp(1, self.sum.len() - 1) - 1;
+        let triangle = self
+            .sum
+            .partition_point(|&s| s <= at)
+            .clamp(1, self.sum.len() - 1)
+            - 1;
         let [a, b, c] = self.scene.corners(triangle);
         let (u, v) = (random.next().sqrt(), random.next());
-        (a * (1.0 - u) + b * (u * (1.0 - v)) + c * (u * v), (b - a).cross(c - a).normalize())
+        (
+            a * (1.0 - u) + b * (u * (1.0 - v)) + c * (u * v),
+            (b - a).cross(c - a).normalize(),
+        )
     }
 
     fn cosine(&self, random: &mut Random) -> Ray {
@@ -238,7 +258,12 @@ impl Spread<'_> {
             return (0..count)
                 .map(|_| {
                     let (from, to) = (square(p, n), square(q, m));
-                    Ray { origin: from, t_min: 0.0, direction: to - from, t_max: 0.9999 }
+                    Ray {
+                        origin: from,
+                        t_min: 0.0,
+                        direction: to - from,
+                        t_max: 0.9999,
+                    }
                 })
                 .collect();
         }
@@ -274,7 +299,10 @@ impl Maker {
     /// A turned box, seen from outside or, as a room, from inside.
     fn block(&mut self, low: Vec3, size: Vec3, angle: f32, n: u32, inside: bool) {
         let (sin, cos) = angle.sin_cos();
-        let (x, y) = (Vec3::new(cos, sin, 0.0) * size.x, Vec3::new(-sin, cos, 0.0) * size.y);
+        let (x, y) = (
+            Vec3::new(cos, sin, 0.0) * size.x,
+            Vec3::new(-sin, cos, 0.0) * size.y,
+        );
         let z = Vec3::Z * size.z;
         for (corner, a, b) in [
             (low, y, x),
@@ -284,7 +312,11 @@ impl Maker {
             (low, z, y),
             (low + x, y, z),
         ] {
-            if inside { self.grid(corner, b, a, n) } else { self.grid(corner, a, b, n) }
+            if inside {
+                self.grid(corner, b, a, n)
+            } else {
+                self.grid(corner, a, b, n)
+            }
         }
     }
 
@@ -341,8 +373,20 @@ impl Maker {
 fn cornell() -> Scene {
     let mut maker = Maker::default();
     maker.block(Vec3::ZERO, Vec3::splat(0.56), 0.0, 28, true);
-    maker.block(Vec3::new(0.13, 0.07, 0.0), Vec3::new(0.165, 0.165, 0.165), 0.29, 20, false);
-    maker.block(Vec3::new(0.30, 0.25, 0.0), Vec3::new(0.165, 0.165, 0.33), -0.3, 20, false);
+    maker.block(
+        Vec3::new(0.13, 0.07, 0.0),
+        Vec3::new(0.165, 0.165, 0.165),
+        0.29,
+        20,
+        false,
+    );
+    maker.block(
+        Vec3::new(0.30, 0.25, 0.0),
+        Vec3::new(0.165, 0.165, 0.33),
+        -0.3,
+        20,
+        false,
+    );
     maker.scene()
 }
 
@@ -354,12 +398,36 @@ fn room() -> Scene {
     for k in 0..24 {
         let at = Vec3::new(1.0 + (k % 6) as f32 * 1.8, 1.0 + (k / 6) as f32 * 2.0, 0.0);
         let angle = random.between(-0.1, 0.1);
-        maker.block(at + Vec3::Z * 0.72, Vec3::new(1.4, 0.7, 0.03), angle, 1, false);
+        maker.block(
+            at + Vec3::Z * 0.72,
+            Vec3::new(1.4, 0.7, 0.03),
+            angle,
+            1,
+            false,
+        );
         for (x, y) in [(0.05, 0.05), (1.3, 0.05), (0.05, 0.6), (1.3, 0.6)] {
-            maker.block(at + Vec3::new(x, y, 0.0), Vec3::new(0.05, 0.05, 0.72), angle, 1, false);
+            maker.block(
+                at + Vec3::new(x, y, 0.0),
+                Vec3::new(0.05, 0.05, 0.72),
+                angle,
+                1,
+                false,
+            );
         }
-        maker.block(at + Vec3::new(0.5, 0.9, 0.4), Vec3::new(0.45, 0.45, 0.05), angle, 2, false);
-        maker.block(at + Vec3::new(0.5, 1.3, 0.45), Vec3::new(0.45, 0.05, 0.5), angle, 2, false);
+        maker.block(
+            at + Vec3::new(0.5, 0.9, 0.4),
+            Vec3::new(0.45, 0.45, 0.05),
+            angle,
+            2,
+            false,
+        );
+        maker.block(
+            at + Vec3::new(0.5, 1.3, 0.45),
+            Vec3::new(0.45, 0.05, 0.5),
+            angle,
+            2,
+            false,
+        );
         maker.ball(at + Vec3::new(0.3, 0.3, 0.9), 0.12, 42);
     }
     for k in 0..900 {
@@ -487,7 +555,12 @@ mod embree {
         }
 
         fn symbol<T: Copy>(&self, name: &str) -> T {
-            unsafe { *self.shared.get::<T>(name.as_bytes()).expect("an Embree 4 library") }
+            unsafe {
+                *self
+                    .shared
+                    .get::<T>(name.as_bytes())
+                    .expect("an Embree 4 library")
+            }
         }
 
         pub fn build(&self, scene: &Scene, quality: u32) -> Tree {
@@ -496,8 +569,7 @@ mod embree {
             type Set = unsafe extern "C" fn(Handle, u32);
             type Act = unsafe extern "C" fn(Handle);
             type Attach = unsafe extern "C" fn(Handle, Handle) -> u32;
-            type Buffer =
-                unsafe extern "C" fn(Handle, u32, u32, u32, usize, usize) -> *mut c_void;
+            type Buffer = unsafe extern "C" fn(Handle, u32, u32, u32, usize, usize) -> *mut c_void;
             const FLOAT3: u32 = 0x9003;
             const UINT3: u32 = 0x5003;
             let buffer: Buffer = self.symbol("rtcSetNewGeometryBuffer");
@@ -544,8 +616,14 @@ mod embree {
         }
 
         pub fn visible_16(&self, segments: &[Ray], visible: &mut [bool]) {
-            let arguments = Arguments { flags: 1 << 16, features: u32::MAX, rest: [0; 8] };
-            let bundles = segments.chunks_exact(BUNDLE).zip(visible.chunks_exact_mut(BUNDLE));
+            let arguments = Arguments {
+                flags: 1 << 16,
+                features: u32::MAX,
+                rest: [0; 8],
+            };
+            let bundles = segments
+                .chunks_exact(BUNDLE)
+                .zip(visible.chunks_exact_mut(BUNDLE));
             for (bundle, visible) in bundles {
                 let mut query = Ray16([[0; BUNDLE]; 12]);
                 for (k, ray) in bundle.iter().enumerate() {

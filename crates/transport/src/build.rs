@@ -24,8 +24,9 @@ const FORK_WORK: f32 = 1.0;
 const HEURISTIC_DEPTH: usize = 48;
 /// Most levels of the binary tree: halving 2^31 triangles down to a leaf takes 28.
 const MOST_LEVELS: usize = HEURISTIC_DEPTH + 28;
-/// Most entries that wait while a tree is walked: each level leaves seven behind.
-pub(crate) const MOST_WAITING: usize = (WIDTH - 1) * MOST_LEVELS + 1;
+/// Most entries that wait while a tree is walked: each level leaves seven behind, and a packet
+/// eight on the last.
+pub(crate) const MOST_WAITING: usize = (WIDTH - 1) * MOST_LEVELS + WIDTH;
 /// Triangles below which two halves are built one after the other.
 const PARALLEL_FROM: usize = 4096;
 /// Triangles a task looks at when one fork is cut in parallel.
@@ -54,12 +55,17 @@ struct Bounds {
 }
 
 impl Bounds {
-    const EMPTY: Bounds =
-        Bounds { low: Vec3A::splat(f32::INFINITY), high: Vec3A::splat(f32::NEG_INFINITY) };
+    const EMPTY: Bounds = Bounds {
+        low: Vec3A::splat(f32::INFINITY),
+        high: Vec3A::splat(f32::NEG_INFINITY),
+    };
 
     #[inline]
     fn and(self, other: Bounds) -> Bounds {
-        Bounds { low: self.low.min(other.low), high: self.high.max(other.high) }
+        Bounds {
+            low: self.low.min(other.low),
+            high: self.high.max(other.high),
+        }
     }
 
     #[inline]
@@ -71,8 +77,15 @@ impl Bounds {
 
 /// The binary tree.
 enum Branch {
-    Leaf { bounds: Bounds, first: usize, count: usize },
-    Fork { bounds: Bounds, halves: Box<[Branch; 2]> },
+    Leaf {
+        bounds: Bounds,
+        first: usize,
+        count: usize,
+    },
+    Fork {
+        bounds: Bounds,
+        halves: Box<[Branch; 2]>,
+    },
 }
 
 impl Branch {
@@ -124,7 +137,11 @@ pub(crate) fn build(scene: &Arc<Scene>) -> Tree {
             };
             let [a, b, c] = scene.corners(triangle).map(Vec3A::from);
             let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-            Some(Item { low, high, triangle: triangle as u32 | flag })
+            Some(Item {
+                low,
+                high,
+                triangle: triangle as u32 | flag,
+            })
         })
         .collect();
     let has_partial = items.iter().any(|item| item.triangle & PARTIAL != 0);
@@ -171,10 +188,14 @@ struct Binning {
 impl Binning {
     fn new(centres: &Bounds) -> Binning {
         let extent = centres.high - centres.low;
-        let scale = Vec3A::splat(BINS as f32 * 0.9999) / extent.max(Vec3A::splat(f32::MIN_POSITIVE));
+        let scale =
+            Vec3A::splat(BINS as f32 * 0.9999) / extent.max(Vec3A::splat(f32::MIN_POSITIVE));
         // Overflow in either place leaves everything in one bin: no cut, so the halves are even.
         let scale = Vec3A::select(scale.cmplt(Vec3A::splat(f32::INFINITY)), scale, Vec3A::ZERO);
-        Binning { low: centres.low, scale }
+        Binning {
+            low: centres.low,
+            scale,
+        }
     }
 
     #[inline]
@@ -193,12 +214,18 @@ struct Bins {
 }
 
 impl Bins {
-    const EMPTY: Bins = Bins { bounds: [[Bounds::EMPTY; BINS]; 3], count: [[0; BINS]; 3] };
+    const EMPTY: Bins = Bins {
+        bounds: [[Bounds::EMPTY; BINS]; 3],
+        count: [[0; BINS]; 3],
+    };
 
     fn of(items: &[Item], binning: Binning) -> Bins {
         let mut bins = Bins::EMPTY;
         for item in items {
-            let bounds = Bounds { low: item.low, high: item.high };
+            let bounds = Bounds {
+                low: item.low,
+                high: item.high,
+            };
             for (axis, bin) in binning.bins(item).into_iter().enumerate() {
                 bins.bounds[axis][bin] = bins.bounds[axis][bin].and(bounds);
                 bins.count[axis][bin] += 1;
@@ -238,7 +265,11 @@ impl Bins {
                 }
                 let work = grown.half_area() * leaves_of(n) + right_area * leaves_of(right_n);
                 if work < best.map_or(f32::INFINITY, |b| b.work) {
-                    best = Some(Cut { axis, last_bin_left: bin, work });
+                    best = Some(Cut {
+                        axis,
+                        last_bin_left: bin,
+                        work,
+                    });
                 }
             }
         }
@@ -257,7 +288,10 @@ fn measure(items: &[Item]) -> (Bounds, Bounds) {
     let mut all = Bounds::EMPTY;
     let mut centres = Bounds::EMPTY;
     for item in items {
-        all = all.and(Bounds { low: item.low, high: item.high });
+        all = all.and(Bounds {
+            low: item.low,
+            high: item.high,
+        });
         let c = item.centre();
         centres = centres.and(Bounds { low: c, high: c });
     }
@@ -277,7 +311,11 @@ fn grow(items: &mut [Item], first: usize, depth: usize) -> Branch {
         measure(items)
     };
     if n == 1 {
-        return Branch::Leaf { bounds, first, count: n };
+        return Branch::Leaf {
+            bounds,
+            first,
+            count: n,
+        };
     }
     let binning = Binning::new(&centres);
     let cut = if depth >= HEURISTIC_DEPTH {
@@ -294,20 +332,33 @@ fn grow(items: &mut [Item], first: usize, depth: usize) -> Branch {
     let area = bounds.half_area();
     let left = match cut {
         Some(cut) if n > WIDTH || FORK_WORK * area + cut.work < area * leaves_of(n) => {
-            divide(items, |item| binning.bins(item)[cut.axis] <= cut.last_bin_left)
+            divide(items, |item| {
+                binning.bins(item)[cut.axis] <= cut.last_bin_left
+            })
         }
-        _ if n <= WIDTH => return Branch::Leaf { bounds, first, count: n },
+        _ if n <= WIDTH => {
+            return Branch::Leaf {
+                bounds,
+                first,
+                count: n,
+            };
+        }
         _ => n / 2,
     };
     let (a, b) = items.split_at_mut(left);
     let halves = if n > PARALLEL_FROM {
-        let (left, right) =
-            rayon::join(|| grow(a, first, depth + 1), || grow(b, first + left, depth + 1));
+        let (left, right) = rayon::join(
+            || grow(a, first, depth + 1),
+            || grow(b, first + left, depth + 1),
+        );
         [left, right]
     } else {
         [grow(a, first, depth + 1), grow(b, first + left, depth + 1)]
     };
-    Branch::Fork { bounds, halves: Box::new(halves) }
+    Branch::Fork {
+        bounds,
+        halves: Box::new(halves),
+    }
 }
 
 /// Puts the items that belong left first, and returns how many they are.

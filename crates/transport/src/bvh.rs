@@ -53,8 +53,10 @@ pub(crate) struct Leaf {
 
 impl Leaf {
     /// No triangle: comparisons with NaN fail, so nothing is ever hit.
-    pub(crate) const EMPTY: Leaf =
-        Leaf { corners: [[[f32::NAN; WIDTH]; 3]; 3], triangle: [u32::MAX; WIDTH] };
+    pub(crate) const EMPTY: Leaf = Leaf {
+        corners: [[[f32::NAN; WIDTH]; 3]; 3],
+        triangle: [u32::MAX; WIDTH],
+    };
 }
 
 /// The tree and what a walk through it needs.
@@ -124,12 +126,18 @@ impl Bvh {
     ///
     /// Uses the current rayon pool; the tree is the same for any number of threads.
     pub fn build(scene: &Arc<Scene>) -> Bvh {
-        Bvh { tree: build::build(scene), kernel: Kernel::best() }
+        Bvh {
+            tree: build::build(scene),
+            kernel: Kernel::best(),
+        }
     }
 
     /// The same tree walked by the portable kernel: same answers, for processors to compare.
     pub fn into_portable(self) -> Bvh {
-        Bvh { kernel: Kernel::Portable, ..self }
+        Bvh {
+            kernel: Kernel::Portable,
+            ..self
+        }
     }
 
     /// Which instructions walk the tree.
@@ -167,9 +175,9 @@ impl RayCaster for Bvh {
             Kernel::Avx2 => unsafe {
                 crate::kernel_avx2::visibility(&self.tree, segments, visible)
             },
-            _ => packet::visibility_batch::<kernel_portable::Portable>(
-                &self.tree, segments, visible,
-            ),
+            _ => {
+                packet::visibility_batch::<kernel_portable::Portable>(&self.tree, segments, visible)
+            }
         }
     }
 

@@ -26,11 +26,11 @@ use std::mem::MaybeUninit;
 
 /// Margin of boxes in units of the largest coordinate: rounding is below six units in the last
 /// place, four of the triangle test and two of the slabs.
-const MARGIN: f32 = 8.0 * f32::EPSILON;
+pub(crate) const MARGIN: f32 = 8.0 * f32::EPSILON;
 
 /// Directions along an axis count as at least this share of the largest, so that slabs are
 /// finite. Over the whole scene the ray strays by less than the margin.
-const LEAST_SLOPE: f32 = 1e-12;
+pub(crate) const LEAST_SLOPE: f32 = 1e-12;
 
 /// What one ray needs on its way down, as plain numbers.
 pub(crate) struct Slabs {
@@ -55,33 +55,53 @@ pub(crate) struct Shear {
     pub(crate) inverse_z: f32,
 }
 
-/// Slabs and shear of a ray; `None` if it can meet nothing (a zero or infinite direction, an
-/// origin that is not finite).
+/// Axis along which the direction is largest; the shear makes it z.
 #[inline(always)]
-pub(crate) fn prepare(ray: &Ray, extent: f32) -> Option<(Slabs, Shear)> {
-    let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
-    let length = d.map(f32::abs);
-    let z = if length[0] > length[1] {
-        if length[0] > length[2] { 0 } else { 2 }
-    } else if length[1] > length[2] {
+pub(crate) fn dominant_axis(ray: &Ray) -> usize {
+    let length = ray.direction.abs();
+    if length.x > length.y {
+        if length.x > length.z { 0 } else { 2 }
+    } else if length.y > length.z {
         1
     } else {
         2
-    };
-    let largest = length[z];
+    }
+}
+
+/// Whether a ray can meet anything: neither a zero or infinite direction, nor an origin that is
+/// not finite.
+#[inline(always)]
+pub(crate) fn is_usable(ray: &Ray) -> bool {
+    let (o, d) = (ray.origin, ray.direction);
     // Sums are not finite if a term is not.
-    let usable = (o[0] + o[1] + o[2]).is_finite()
-        && (d[0] + d[1] + d[2]).is_finite()
-        && (1.0 / largest).is_finite();
-    if !usable {
+    (o.x + o.y + o.z).is_finite()
+        && (d.x + d.y + d.z).is_finite()
+        && (1.0 / d[dominant_axis(ray)]).is_finite()
+}
+
+/// Slabs and shear of a ray; `None` if it can meet nothing.
+#[inline(always)]
+pub(crate) fn prepare(ray: &Ray, extent: f32) -> Option<(Slabs, Shear)> {
+    if !is_usable(ray) {
         return None;
     }
-    let least = largest * LEAST_SLOPE;
+    let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
+    let z = dominant_axis(ray);
+    let least = d[z].abs() * LEAST_SLOPE;
     let reach = o[0].abs().max(o[1].abs()).max(o[2].abs()) + extent;
     let margin = MARGIN * reach;
-    let mut slabs = Slabs { inverse: [0.0; 3], near: [0.0; 3], far: [0.0; 3], negative: [0; 3] };
+    let mut slabs = Slabs {
+        inverse: [0.0; 3],
+        near: [0.0; 3],
+        far: [0.0; 3],
+        negative: [0; 3],
+    };
     for axis in 0..3 {
-        let slope = if length[axis] < least { least.copysign(d[axis]) } else { d[axis] };
+        let slope = if d[axis].abs() < least {
+            least.copysign(d[axis])
+        } else {
+            d[axis]
+        };
         let inverse = 1.0 / slope;
         let widened = margin * inverse.abs();
         slabs.inverse[axis] = inverse;
@@ -91,15 +111,23 @@ pub(crate) fn prepare(ray: &Ray, extent: f32) -> Option<(Slabs, Shear)> {
     }
     let (x, y) = ((z + 1) % 3, (z + 2) % 3);
     let inverse_z = 1.0 / d[z];
-    let shear = Shear { axes: [x, y, z], slope: [d[x] * inverse_z, d[y] * inverse_z], inverse_z };
+    let shear = Shear {
+        axes: [x, y, z],
+        slope: [d[x] * inverse_z, d[y] * inverse_z],
+        inverse_z,
+    };
     Some((slabs, shear))
 }
 
 // Lanes do not go through `array::map`: what is not inlined everywhere is compiled without the
 // instructions of the kernel, and costs a factor of three.
 #[inline(always)]
-fn splat<L: Lanes>(values: [f32; 3]) -> [L; 3] {
-    [L::splat(values[0]), L::splat(values[1]), L::splat(values[2])]
+pub(crate) fn splat<L: Lanes>(values: [f32; 3]) -> [L; 3] {
+    [
+        L::splat(values[0]),
+        L::splat(values[1]),
+        L::splat(values[2]),
+    ]
 }
 
 /// A prepared ray in registers.
@@ -216,56 +244,67 @@ pub(crate) fn crossing<L: Lanes>(
 #[inline(always)]
 fn sheared<L: Lanes>(corner: [L; 3], origin: [L; 3], slope: [L; 2]) -> [L; 3] {
     let z = corner[2] - origin[2];
-    [corner[0] - origin[0] - slope[0] * z, corner[1] - origin[1] - slope[1] * z, z]
+    [
+        corner[0] - origin[0] - slope[0] * z,
+        corner[1] - origin[1] - slope[1] * z,
+        z,
+    ]
 }
 
 impl<L: Lanes> Crossing<L> {
     /// Barycentric weights of corners 1 and 2, and the sum whose sign tells the side.
     #[inline(always)]
     fn weights(&self) -> ([f32; WIDTH], [f32; WIDTH], [f32; WIDTH]) {
-        ((self.v / self.sum).store(), (self.w / self.sum).store(), self.sum.store())
+        (
+            (self.v / self.sum).store(),
+            (self.w / self.sum).store(),
+            self.sum.store(),
+        )
     }
 }
 
-/// A subtree that waits, and where the ray enters it.
+/// A subtree that waits, with what is known of it.
 #[derive(Clone, Copy)]
-pub(crate) struct Waiting {
-    reference: u32,
-    enter: f32,
+pub(crate) struct Waiting<T> {
+    pub(crate) reference: u32,
+    pub(crate) with: T,
 }
 
 /// Room for what waits in the deepest tree that the builder makes.
 ///
 /// Not initialised: clearing four kilobytes would cost as much as a short ray.
-pub(crate) struct Room(MaybeUninit<[Waiting; MOST_WAITING + WIDTH]>);
+pub(crate) struct Room<T>(MaybeUninit<[Waiting<T>; MOST_WAITING]>);
 
-impl Room {
+impl<T: Copy> Room<T> {
     #[inline(always)]
-    pub(crate) fn new() -> Room {
+    pub(crate) fn new() -> Room<T> {
         Room(MaybeUninit::uninit())
     }
 
     #[inline(always)]
-    fn stack(&mut self) -> Stack<'_> {
-        Stack { items: &mut self.0, count: 0 }
+    pub(crate) fn stack(&mut self) -> Stack<'_, T> {
+        Stack {
+            items: &mut self.0,
+            count: 0,
+        }
     }
 }
 
 /// What waits, last in first out.
-struct Stack<'a> {
-    items: &'a mut MaybeUninit<[Waiting; MOST_WAITING + WIDTH]>,
+pub(crate) struct Stack<'a, T> {
+    items: &'a mut MaybeUninit<[Waiting<T>; MOST_WAITING]>,
     count: usize,
 }
 
-impl Stack<'_> {
+impl<T: Copy> Stack<'_, T> {
     #[inline(always)]
-    fn push(&mut self, item: Waiting) {
+    pub(crate) fn push(&mut self, item: Waiting<T>) {
         self.put(self.count, item);
         self.count += 1;
     }
 
     #[inline(always)]
-    fn pop(&mut self) -> Option<Waiting> {
+    pub(crate) fn pop(&mut self) -> Option<Waiting<T>> {
         if self.count == 0 {
             return None;
         }
@@ -273,13 +312,36 @@ impl Stack<'_> {
         Some(self.get(self.count))
     }
 
+    #[inline(always)]
+    fn put(&mut self, at: usize, item: Waiting<T>) {
+        debug_assert!(at < MOST_WAITING);
+        // SAFETY: `at <= count`, and count stays below MOST_WAITING: a walk leaves at most
+        // eight waiting on the last level and seven on each above, and the builder bounds the
+        // levels.
+        unsafe {
+            self.items
+                .as_mut_ptr()
+                .cast::<Waiting<T>>()
+                .add(at)
+                .write(item)
+        };
+    }
+
+    #[inline(always)]
+    fn get(&self, at: usize) -> Waiting<T> {
+        // SAFETY: all below `count` were put, and callers ask for those only.
+        unsafe { self.items.as_ptr().cast::<Waiting<T>>().add(at).read() }
+    }
+}
+
+impl Stack<'_, f32> {
     /// Adds an item above `base` so that those from `base` on are sorted, farthest first.
     #[inline(always)]
-    fn insert(&mut self, base: usize, item: Waiting) {
+    fn insert(&mut self, base: usize, item: Waiting<f32>) {
         let mut at = self.count;
         while at > base {
             let below = self.get(at - 1);
-            if below.enter >= item.enter {
+            if below.with >= item.with {
                 break;
             }
             self.put(at, below);
@@ -287,20 +349,6 @@ impl Stack<'_> {
         }
         self.put(at, item);
         self.count += 1;
-    }
-
-    #[inline(always)]
-    fn put(&mut self, at: usize, item: Waiting) {
-        debug_assert!(at < MOST_WAITING + WIDTH);
-        // SAFETY: `at <= count`, and count stays within MOST_WAITING: a walk leaves at most
-        // seven waiting on each level, and the builder bounds the levels.
-        unsafe { self.items.as_mut_ptr().cast::<Waiting>().add(at).write(item) };
-    }
-
-    #[inline(always)]
-    fn get(&self, at: usize) -> Waiting {
-        // SAFETY: as for `put`; all below `count` were put, and callers ask for those only.
-        unsafe { self.items.as_ptr().cast::<Waiting>().add(at).read() }
     }
 }
 
@@ -315,10 +363,15 @@ pub(crate) fn closest_batch<L: Lanes>(tree: &Tree, rays: &[Ray], hits: &mut [Hit
 
 /// Nearest crossing.
 #[inline(always)]
-fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room) -> Hit {
-    let Some(beam) = Beam::<L>::new(ray, tree.extent) else { return Hit::MISS };
+fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room<f32>) -> Hit {
+    let Some(beam) = Beam::<L>::new(ray, tree.extent) else {
+        return Hit::MISS;
+    };
     let mut stack = room.stack();
-    let mut best = Hit { t: ray.t_max, ..Hit::MISS };
+    let mut best = Hit {
+        t: ray.t_max,
+        ..Hit::MISS
+    };
     let mut t_max = L::splat(ray.t_max);
     let mut current = tree.root;
     'walk: loop {
@@ -337,12 +390,18 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room) -> Hit {
             // Nearest first: the others wait, sorted, the farthest deepest.
             let enter = enter.store();
             let base = stack.count;
-            let mut nearest = Waiting { reference: node.child[first], enter: enter[first] };
+            let mut nearest = Waiting {
+                reference: node.child[first],
+                with: enter[first],
+            };
             while bits != 0 {
                 let k = bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                let mut next = Waiting { reference: node.child[k], enter: enter[k] };
-                if next.enter < nearest.enter {
+                let mut next = Waiting {
+                    reference: node.child[k],
+                    with: enter[k],
+                };
+                if next.with < nearest.with {
                     std::mem::swap(&mut next, &mut nearest);
                 }
                 stack.insert(base, next);
@@ -358,7 +417,7 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room) -> Hit {
         }
         loop {
             let Some(next) = stack.pop() else { break 'walk };
-            if next.enter <= best.t {
+            if next.with <= best.t {
                 current = next.reference;
                 break;
             }
@@ -384,10 +443,16 @@ fn nearer<L: Lanes>(tree: &Tree, ray: &Ray, leaf: &Leaf, crossing: &Crossing<L>,
             continue;
         }
         // Corners turn counter-clockwise around the ray's axis where the sum is negative.
-        let z = ray.direction.abs().max_position();
+        let z = dominant_axis(ray);
         let front = (sum[k] > 0.0) == (ray.direction[z] > 0.0);
         let side = if front { Side::Front } else { Side::Back };
-        *best = Hit { t: t[k], triangle, u: u[k], v: v[k], side };
+        *best = Hit {
+            t: t[k],
+            triangle,
+            u: u[k],
+            v: v[k],
+            side,
+        };
     }
 }
 
@@ -400,8 +465,14 @@ fn stops(tree: &Tree, ray: &Ray, triangle: u32, u: f32, v: f32) -> bool {
         return true;
     }
     // A number in 0..1 from the ray and the triangle, never 1: nothing stops at a hole.
-    let words = ray.origin.to_array().into_iter().chain(ray.direction.to_array());
-    let hash = words.map(f32::to_bits).fold(mix(triangle), |hash, word| mix(hash ^ word));
+    let words = ray
+        .origin
+        .to_array()
+        .into_iter()
+        .chain(ray.direction.to_array());
+    let hash = words
+        .map(f32::to_bits)
+        .fold(mix(triangle), |hash, word| mix(hash ^ word));
     ((hash >> 8) as f32) * (1.0 / (1 << 24) as f32) < coverage
 }
 
@@ -415,8 +486,10 @@ fn mix(word: u32) -> u32 {
 
 /// Share of light that passes one segment through the subtree at `root`.
 #[inline(always)]
-pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, room: &mut Room) -> f32 {
-    let Some(beam) = Beam::<L>::new(ray, tree.extent) else { return 1.0 };
+pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, room: &mut Room<()>) -> f32 {
+    let Some(beam) = Beam::<L>::new(ray, tree.extent) else {
+        return 1.0;
+    };
     let mut stack = room.stack();
     let t_max = L::splat(ray.t_max);
     let mut passed = 1.0;
@@ -431,7 +504,10 @@ pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, room: &mut
                 while bits != 0 {
                     let k = bits.trailing_zeros() as usize;
                     bits &= bits - 1;
-                    stack.push(Waiting { reference: node.child[k], enter: 0.0 });
+                    stack.push(Waiting {
+                        reference: node.child[k],
+                        with: (),
+                    });
                 }
                 current = node.child[first];
                 continue;
@@ -448,7 +524,9 @@ pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, room: &mut
                 }
             }
         }
-        let Some(next) = stack.pop() else { return passed };
+        let Some(next) = stack.pop() else {
+            return passed;
+        };
         current = next.reference;
     }
 }
