@@ -5,8 +5,8 @@
 //! line strikes gains rho times its load, in exitance and in unshot. (Printed versions of the
 //! loop have the test the other way round, and stop at once.)
 //!
-//! A step is one round over the elements that are above the tolerance. When none is, one run is
-//! complete; the next step begins another with lines of its own. Complete runs are averaged, and
+//! A step is one round or a few over the elements that are above the tolerance. When none is,
+//! one run is complete; the next step begins another with lines of its own. Complete runs are averaged, and
 //! their spread is the error. What stays below the tolerance in every run is a bias: at most the
 //! tolerance times the number of elements, and reported as unshot.
 //!
@@ -15,7 +15,8 @@
 use crate::contract::{Problem, Progress, Solver, Transport};
 use crate::kinds::SolverSettings;
 use crate::photometry::{
-    F32_RESOLUTION, absolute, absolute_flux, has_outside, luminance, rho, share, solution, widened,
+    F32_RESOLUTION, absolute, absolute_flux, has_outside, luminance, rho, share, solution,
+    sum_over, widened,
 };
 use crate::sweep::carry;
 use luxel_core::{ElementId, FrontChange, Solution};
@@ -33,20 +34,30 @@ pub struct MonteCarloShooting {
     /// The present run.
     exitance: Vec<f64>,
     unshot: Vec<f64>,
-    /// Next unused sample of each element.
-    next: Vec<u32>,
     begun: Begun,
+    /// Number of casts so far; each has a seed of its own.
+    casts: u32,
     /// Complete runs: how many, mean of their exitance, sum of squared photometric deviations.
     runs: u32,
     mean: Vec<f64>,
     spread: Vec<f64>,
-    /// Error of a resumed result, which counts as the first of the runs in `mean`.
-    stored_error: Option<f64>,
+    /// Unshot flux that the last complete run left, beside its exitance.
+    bias: f64,
+    /// Result of an earlier run of the program.
+    stored: Option<Stored>,
     /// Flux, lm, that shares are shares of.
     emitted: f64,
     /// Tells the samples of this solver from those of an earlier one.
     stream: u32,
     progress: Progress,
+}
+
+/// A resumed result, which weighs as much as its lines.
+#[derive(Clone, Debug)]
+struct Stored {
+    exitance: Vec<f64>,
+    relative_error: f64,
+    lines: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,12 +77,13 @@ impl MonteCarloShooting {
             settings,
             exitance: Vec::new(),
             unshot: Vec::new(),
-            next: Vec::new(),
             begun: Begun::No,
+            casts: 0,
             runs: 0,
             mean: Vec::new(),
             spread: Vec::new(),
-            stored_error: None,
+            bias: 0.0,
+            stored: None,
             emitted: 0.0,
             stream: 0,
             progress: Progress::default(),
@@ -104,21 +116,18 @@ impl MonteCarloShooting {
         local: &dyn LocalLines,
         count: impl Fn(usize) -> u32 + Sync,
     ) -> Vec<Vec<(u32, Vec<Arrival>)>> {
-        let seed = hash([problem.seed, self.stream, 0x5007]);
-        let cast: Vec<Vec<(u32, Vec<Arrival>)>> = self
-            .next
-            .par_chunks_mut(CHUNK)
-            .enumerate()
-            .map(|(c, next)| {
+        let seed = hash([problem.seed, self.stream, self.casts, 0x5007]);
+        self.casts += 1;
+        let n = problem.len();
+        let cast: Vec<Vec<(u32, Vec<Arrival>)>> = (0..n.div_ceil(CHUNK))
+            .into_par_iter()
+            .map(|chunk| {
                 let mut list = Vec::new();
-                for (k, next) in next.iter_mut().enumerate() {
-                    let i = c * CHUNK + k;
+                for i in chunk * CHUNK..n.min((chunk + 1) * CHUNK) {
                     let lines = count(i);
                     if lines > 0 {
-                        let start = next.next_multiple_of(lines);
-                        *next = start.wrapping_add(lines);
                         let mut arrivals = Vec::new();
-                        local.cast(ElementId::from(i), start..*next, seed, &mut arrivals);
+                        local.cast(ElementId::from(i), 0..lines, seed, &mut arrivals);
                         list.push((i as u32, arrivals));
                     }
                 }
@@ -184,9 +193,6 @@ impl MonteCarloShooting {
     /// Starts a run from E and the first reflection of the outside.
     fn begin(&mut self, problem: &Problem<'_>, local: &dyn LocalLines) {
         let columns = problem.columns();
-        if self.next.len() != problem.len() {
-            self.next = vec![0; problem.len()];
-        }
         let from_outside = self.gather_outside(problem, local);
         if self.begun == Begun::Carried {
             self.emitted = absolute_flux(problem.area, &self.exitance, columns);
@@ -217,6 +223,31 @@ impl MonteCarloShooting {
         self.begun = Begun::Yes;
     }
 
+    /// Shoots from every element above the tolerance once. Whether any is above it now.
+    fn round(&mut self, problem: &Problem<'_>, local: &dyn LocalLines) -> bool {
+        let columns = problem.columns();
+        let threshold = self.threshold(problem);
+        let mut sent = vec![0.0; self.unshot.len()];
+        for (i, u) in self.unshot.chunks_exact_mut(columns).enumerate() {
+            if problem.area[i] * absolute(u) > threshold {
+                sent[i * columns..(i + 1) * columns].copy_from_slice(u);
+                u.fill(0.0);
+            }
+        }
+        let incident = self.shoot(problem, local, &sent, threshold);
+        let mut above = false;
+        for (i, u) in self.unshot.chunks_exact_mut(columns).enumerate() {
+            for (k, u) in u.iter_mut().enumerate() {
+                let at = i * columns + k;
+                let gain = rho(problem, i, k) * incident[at];
+                self.exitance[at] += gain;
+                *u += gain;
+            }
+            above |= problem.area[i] * absolute(u) > threshold;
+        }
+        above
+    }
+
     /// Takes the complete run into the mean [Welford62].
     fn complete(&mut self, problem: &Problem<'_>) {
         let columns = problem.columns();
@@ -237,25 +268,53 @@ impl MonteCarloShooting {
         }
     }
 
-    /// Relative error of the mean of the complete runs, from their spread.
-    fn error(&self, problem: &Problem<'_>) -> f64 {
-        let runs = self.runs as f64;
-        if self.runs < 2 {
-            return self.stored_error.unwrap_or(1.0);
+    /// Share of the stored result in what is shown.
+    fn kept(&self) -> f64 {
+        match &self.stored {
+            Some(_) if self.runs == 0 => 1.0,
+            Some(s) => share(s.lines, self.progress.work as f64),
+            None => 0.0,
         }
-        let (mut noise, mut whole) = (0.0, 0.0);
-        for (i, row) in self.mean.chunks_exact(problem.columns()).enumerate() {
-            noise += problem.area[i] * self.spread[i] / (runs * (runs - 1.0));
-            whole += problem.area[i] * luminance(row).powi(2);
-        }
-        share(noise, whole).sqrt()
     }
 
-    fn shown(&self) -> &[f64] {
-        if self.runs > 0 {
-            &self.mean
+    /// Relative error of what is shown: of the new runs from their spread, beside the stored.
+    fn error(&self, problem: &Problem<'_>) -> f64 {
+        let runs = self.runs as f64;
+        let new = if self.runs < 2 {
+            // One run has no spread. Error falls with the square root of the lines.
+            self.stored.as_ref().map_or(1.0, |s| {
+                let lines = self.progress.work as f64 - s.lines;
+                s.relative_error * (s.lines / lines.max(1.0)).sqrt()
+            })
         } else {
-            &self.exitance
+            let sums = sum_over(problem.len(), 2, |i, sum| {
+                let row = &self.mean[i * problem.columns()..][..problem.columns()];
+                sum[0] += problem.area[i] * self.spread[i] / (runs * (runs - 1.0));
+                sum[1] += problem.area[i] * luminance(row).powi(2);
+            });
+            share(sums[0], sums[1]).sqrt().hypot(self.bias)
+        };
+        let kept = self.kept();
+        match &self.stored {
+            Some(s) if self.runs > 0 => (kept * s.relative_error).hypot((1.0 - kept) * new),
+            Some(s) => s.relative_error,
+            None => new,
+        }
+    }
+
+    fn shown(&self) -> Vec<f64> {
+        match &self.stored {
+            Some(s) if self.runs == 0 => s.exitance.clone(),
+            Some(s) => {
+                let kept = self.kept();
+                self.mean
+                    .iter()
+                    .zip(&s.exitance)
+                    .map(|(new, old)| new + kept * (old - new))
+                    .collect()
+            }
+            None if self.runs > 0 => self.mean.clone(),
+            None => self.exitance.clone(),
         }
     }
 }
@@ -280,84 +339,65 @@ impl Solver for MonteCarloShooting {
         if self.begun != Begun::Yes {
             self.begin(problem, local);
         }
-        let threshold = self.threshold(problem);
-        let mut sent = vec![0.0; self.unshot.len()];
-        for (i, u) in self.unshot.chunks_exact_mut(columns).enumerate() {
-            if problem.area[i] * absolute(u) > threshold {
-                sent[i * columns..(i + 1) * columns].copy_from_slice(u);
-                u.fill(0.0);
-            }
-        }
-        let incident = self.shoot(problem, local, &sent, threshold);
-        let mut above = false;
-        for i in 0..problem.len() {
-            let at = i * columns..(i + 1) * columns;
-            for k in 0..columns {
-                let gain = rho(problem, i, k) * incident[i * columns + k];
-                self.exitance[i * columns + k] += gain;
-                self.unshot[i * columns + k] += gain;
-            }
-            above |= problem.area[i] * absolute(&self.unshot[at]) > threshold;
-        }
-        let left = absolute_flux(problem.area, &self.unshot, columns);
-        let bias = share(left, absolute_flux(problem.area, &self.exitance, columns));
+        let enough = self.progress.work + (self.lines(problem) / 8.0) as u64;
         // The loop goes on *while* any element is above the tolerance.
-        if !above {
-            self.complete(problem);
+        loop {
+            let above = self.round(problem, local);
+            let left = absolute_flux(problem.area, &self.unshot, columns);
+            self.progress.unshot_share = share(left, self.emitted);
+            if !above {
+                self.bias = share(left, absolute_flux(problem.area, &self.exitance, columns));
+                self.complete(problem);
+                break;
+            }
+            if self.progress.work >= enough {
+                break;
+            }
         }
-        let error = self.error(problem);
-        self.progress.unshot_share = share(left, self.emitted);
-        self.progress.relative_error = if self.runs > 1 {
-            error.hypot(bias)
-        } else {
-            error
-        };
+        self.progress.relative_error = self.error(problem);
         self.progress.finished = self.progress.relative_error < F32_RESOLUTION;
         self.progress
     }
 
     fn solution(&self, problem: &Problem<'_>) -> Solution {
-        if self.shown().is_empty() {
+        let shown = self.shown();
+        if shown.is_empty() {
             let mut start = solution(problem, problem.emission, problem.emission, 1.0, 0);
             start.relative_error = 1.0;
             return start;
         }
-        let nothing = vec![0.0; self.shown().len()];
-        let unshot = if self.runs > 0 {
-            &nothing
-        } else {
-            &self.unshot
-        };
+        let nothing = vec![0.0; shown.len()];
+        let settled = self.runs > 0 || self.stored.is_some();
+        let unshot = if settled { &nothing } else { &self.unshot };
         let p = &self.progress;
-        let mut solution = solution(problem, self.shown(), unshot, p.unshot_share, p.work);
+        let mut solution = solution(problem, &shown, unshot, p.unshot_share, p.work);
         solution.relative_error = p.relative_error as f32;
         solution
     }
 
     fn restart(&mut self, change: &FrontChange, problem: &Problem<'_>) {
-        if self.shown().is_empty() {
+        let shown = self.shown();
+        if shown.is_empty() {
             return;
         }
-        self.exitance = carry(change, self.shown(), problem.columns());
+        self.exitance = carry(change, &shown, problem.columns());
         self.unshot = vec![0.0; self.exitance.len()];
-        (self.runs, self.stored_error) = (0, None);
+        (self.runs, self.stored) = (0, None);
         (self.mean, self.spread) = (Vec::new(), Vec::new());
-        self.next = vec![0; problem.len()];
         self.stream = hash([self.stream, self.progress.step, problem.len() as u32]);
         self.begun = Begun::Carried;
     }
 
-    /// The stored result counts as one run.
     fn resume(&mut self, stored: &Solution, problem: &Problem<'_>) {
-        let Some(mean) = widened(&stored.exitance, problem) else {
+        let Some(exitance) = widened(&stored.exitance, problem) else {
             return;
         };
-        self.mean = mean;
-        self.spread = vec![0.0; problem.len()];
-        self.runs = 1;
-        self.begun = Begun::No;
-        self.stored_error = Some(stored.relative_error as f64);
-        self.next = vec![0; problem.len()];
+        *self = MonteCarloShooting::new(self.settings);
+        self.stored = Some(Stored {
+            exitance,
+            relative_error: stored.relative_error as f64,
+            lines: stored.work as f64,
+        });
         self.stream = hash([stored.work as u32, (stored.work >> 32) as u32]);
         self.progress = Progress {
             relative_error: stored.relative_error as f64,

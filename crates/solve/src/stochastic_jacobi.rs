@@ -10,16 +10,16 @@
 //!
 //! Two chains with random numbers of their own run side by side and never see each other. The
 //! solution is their mean, and half their difference is its error: that stays honest where
-//! passes of one chain depend on each other (each starts from the last one; runs of one
-//! low-discrepancy sequence complete each other).
+//! passes of one chain depend on each other (each starts from the last one).
 //!
 //! A step is one pass of each chain. Passes grow, so that something can be shown early, and
 //! stay bounded. How a pass works: `line_pass.rs`.
 //!
-//! Memory: 20 bytes an element and column, 32 bytes an element, 16 bytes a line of one pass.
+//! Memory: 20 bytes an element and column, 16 bytes an element, 16 bytes a line of one pass.
 //!
 //! Sources: [Neumann95] (stochastic iteration for radiosity), [Bekaert99], chapter 6.
 
+use crate::ambient::from_unshot;
 use crate::contract::{Problem, Progress, Solver, Transport};
 use crate::kinds::SolverSettings;
 use crate::line_pass::{Level, LinePlan, Sent, mean};
@@ -29,9 +29,13 @@ use luxel_transport::LocalLines;
 use luxel_transport::sampling::hash;
 use rayon::prelude::*;
 
-/// Shooting ends when the light still to come is this share of what is there. The regular
-/// passes take the rest: each shrinks it by the reflectance.
-const STILL_TO_COME: f64 = 1e-3;
+/// Shooting ends when the light still to come is this share of what is there. The ambient
+/// term stands for it in the first regular pass, and each pass shrinks what that is wrong by.
+const STILL_TO_COME: f64 = 0.01;
+
+/// Old passes are forgotten by halves while the light that they lacked is more than this share
+/// of the noise.
+const BIAS_TO_NOISE: f64 = 0.25;
 
 /// Shooting ends after this many passes in any case. Closed white rooms come here.
 const MOST_SHOTS: u32 = 64;
@@ -84,8 +88,10 @@ struct Chain {
     lines: f64,
     /// Absolute unshot flux as a share of the emitted flux.
     unshot_share: f64,
-    /// Flux of the bounces that are missing, relative to all flux.
+    /// Bounces that are missing now, as a share of the RMS exitance if they fall evenly.
     to_come: f64,
+    /// The same, mean over the passes in `incident`.
+    bias: f64,
     /// By how much a bounce shrinks the flux.
     decay: f64,
     plan: LinePlan,
@@ -102,6 +108,7 @@ impl Chain {
             lines: 0.0,
             unshot_share: 1.0,
             to_come: 1.0,
+            bias: 1.0,
             decay: 1.0,
             plan: LinePlan::default(),
         }
@@ -136,11 +143,14 @@ impl Chain {
         if self.phase == Phase::Fresh {
             self.sent = problem.emission.iter().map(|v| *v as f32).collect();
             self.incident = vec![0.0; size];
-            self.plan.reset(problem.len());
         }
 
         let flux_before = flux(problem, &self.sent);
-        let seed = hash([problem.seed, self.stream]);
+        let count = match self.phase {
+            Phase::Fresh | Phase::Residual => 0,
+            Phase::Shooting(n) | Phase::Regular(n) => n,
+        };
+        let seed = hash([problem.seed, self.stream, self.phase.tag(), count]);
         let level;
         let sent = Sent {
             exitance: &self.sent,
@@ -193,7 +203,11 @@ impl Chain {
             }
             Phase::Regular(passes) => {
                 self.lines += cast as f64;
-                let gain = (cast as f64 / self.lines.max(1.0)) as f32;
+                let gain = cast as f64 / self.lines.max(1.0);
+                self.to_come *= self.decay;
+                self.unshot_share *= self.decay;
+                self.bias += (self.to_come - self.bias) * gain;
+                let gain = gain as f32;
                 self.incident
                     .par_iter_mut()
                     .zip(&self.fresh)
@@ -203,8 +217,6 @@ impl Chain {
                     problem.emission[at] + rho(problem, i, k) * fresh[at] as f64
                 });
                 self.phase = Phase::Regular(passes + 1);
-                self.to_come *= self.decay;
-                self.unshot_share *= self.decay;
             }
         }
         cast
@@ -221,16 +233,21 @@ impl Chain {
         } else {
             unshot.max(before)
         };
-        let all = sum_over(problem.len(), 1, |i, sum| {
-            for k in 0..columns {
-                sum[0] += problem.area[i] * weight(k) * self.exitance(problem, i, k).abs();
-            }
-        })[0];
+        let sums = sum_over(problem.len(), 2, |i, sum| {
+            let b: f64 = (0..columns)
+                .map(|k| weight(k) * self.exitance(problem, i, k))
+                .sum();
+            sum[0] += problem.area[i];
+            sum[1] += problem.area[i] * b * b;
+        });
         if passes > 0 {
             self.decay = share(unshot, before).min(0.99);
         }
         self.unshot_share = share(unshot, emitted);
-        self.to_come = share(unshot, all) * self.decay / (1.0 - self.decay).max(0.01);
+        // The geometric series of bounces, spread evenly, beside the RMS exitance.
+        let missing = unshot * self.decay / (1.0 - self.decay).max(0.01);
+        self.to_come = share(missing, (sums[0] * sums[1]).sqrt());
+        self.bias = self.to_come;
         self.phase = Phase::Shooting(passes);
         let done = passes > 0 && self.to_come < STILL_TO_COME;
         if done || passes >= MOST_SHOTS || unshot == 0.0 {
@@ -241,9 +258,11 @@ impl Chain {
     fn begin_regular(&mut self, problem: &Problem<'_>) {
         self.phase = Phase::Regular(0);
         self.lines = 0.0;
-        let (incident, columns) = (&self.incident, problem.columns());
+        let columns = problem.columns();
+        let ambient = from_unshot(problem, |at| self.sent[at] as f64);
+        let incident = &self.incident;
         fill(&mut self.sent, columns, |at, i, k| {
-            problem.emission[at] + rho(problem, i, k) * incident[at] as f64
+            problem.emission[at] + rho(problem, i, k) * (incident[at] as f64 + ambient[k])
         });
     }
 }
@@ -363,8 +382,15 @@ impl StochasticJacobi {
                 error.hypot(s.relative_error)
             };
         }
-        let to_come = self.chains.iter().map(|c| c.to_come).fold(0.0, f64::max);
-        self.progress.relative_error = error.hypot(to_come);
+        let bias = self.chains.iter().map(|c| c.bias).fold(0.0, f64::max);
+        for chain in self
+            .chains
+            .iter_mut()
+            .filter(|c| c.bias > BIAS_TO_NOISE * error)
+        {
+            chain.lines *= 0.5;
+        }
+        self.progress.relative_error = error.hypot((1.0 - kept) * bias);
         self.progress.unshot_share = self.chains.iter().map(|c| c.unshot_share).sum::<f64>() / 2.0;
         self.progress.finished = self.progress.relative_error < F32_RESOLUTION;
     }
@@ -456,9 +482,8 @@ impl Solver for StochasticJacobi {
             chain.sent = self.exitance.clone();
             chain.phase = Phase::Residual;
             chain.lines = 0.0;
-            // The samples of an element belong to its number, which may now be another's.
+            // Not the lines that the carried result was made of.
             chain.stream = hash([chain.stream, self.progress.step, problem.len() as u32]);
-            chain.plan.reset(problem.len());
         }
     }
 
@@ -484,7 +509,6 @@ impl Solver for StochasticJacobi {
                 stored.work as u32,
                 (stored.work >> 32) as u32,
             ]));
-            chain.plan.reset(problem.len());
             // B = E + rho H; where rho is 0 nothing of H matters to the result.
             chain.incident = (0..size)
                 .map(|at| {
@@ -504,7 +528,7 @@ impl Solver for StochasticJacobi {
             } else {
                 chain.sent = stored.exitance.clone();
                 chain.phase = Phase::Regular(0);
-                chain.to_come = 0.0;
+                (chain.to_come, chain.bias) = (0.0, 0.0);
             }
         }
         self.stored = Some(Stored {

@@ -10,7 +10,7 @@ use luxel_transport::Constant;
 /// Steps that bring each kind to its best on the small systems here.
 fn enough(kind: Kind) -> (usize, f64) {
     if kind.needs_lines() {
-        (30, 0.0)
+        (100, 0.0)
     } else {
         (20_000, 0.0)
     }
