@@ -6,7 +6,8 @@
 
 use crate::bvh::Tree;
 use crate::contract::{Hit, Ray};
-use crate::lanes::{Lanes, WIDTH};
+use crate::lanes::{Kernel, Lanes, WIDTH};
+use crate::packet::Packet;
 use crate::{packet, traverse};
 use std::arch::x86_64::*;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
@@ -34,10 +35,22 @@ pub(crate) unsafe fn visibility(tree: &Tree, segments: &[Ray], visible: &mut [f3
     packet::visibility_batch::<Avx2>(tree, segments, visible);
 }
 
+#[target_feature(enable = "avx2,fma")]
+#[inline(never)]
+unsafe fn alone(tree: &Tree, segment: &Ray, root: u32) -> f32 {
+    traverse::visibility::<Avx2>(tree, segment, root)
+}
+
+#[target_feature(enable = "avx2,fma")]
+#[inline(never)]
+unsafe fn together(tree: &Tree, segments: &[Ray], visible: &mut [f32], packet: &mut Packet) {
+    packet::together::<Avx2>(tree, segments, visible, packet);
+}
+
 /// Eight `f32` in a register.
 ///
-/// Safety of every method: values are made in [`closest`] and [`visibility`] only, so where
-/// there is one, [`available`] holds.
+/// Safety of every method: values are made in [`closest`] and [`visibility`] and below them
+/// only, so where there is one, [`available`] holds.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(__m256);
 
@@ -141,5 +154,18 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn bits(mask: Truth) -> u32 {
         (unsafe { _mm256_movemask_ps(mask.0) }) as u32
+    }
+}
+
+impl Kernel for Avx2 {
+    // SAFETY of both: the type is named below `closest` and `visibility` only.
+    #[inline(always)]
+    fn alone(tree: &Tree, segment: &Ray, root: u32) -> f32 {
+        unsafe { alone(tree, segment, root) }
+    }
+
+    #[inline(always)]
+    fn together(tree: &Tree, segments: &[Ray], visible: &mut [f32], packet: &mut Packet) {
+        unsafe { together(tree, segments, visible, packet) }
     }
 }

@@ -1,7 +1,11 @@
 //! Eight numbers as an array: runs everywhere, and a compiler makes of it what the processor
 //! has (two NEON registers on 64-bit Arm, two SSE registers on any x86-64).
 
-use crate::lanes::{Lanes, WIDTH};
+use crate::bvh::Tree;
+use crate::contract::Ray;
+use crate::lanes::{Kernel, Lanes, WIDTH};
+use crate::packet::Packet;
+use crate::{packet, traverse};
 use std::ops::{Add, Div, Mul, Sub};
 
 /// Eight `f32` in an array.
@@ -104,5 +108,15 @@ impl Lanes for Portable {
     #[inline(always)]
     fn bits(mask: u32) -> u32 {
         mask
+    }
+}
+
+impl Kernel for Portable {
+    fn alone(tree: &Tree, segment: &Ray, root: u32) -> f32 {
+        traverse::visibility::<Portable>(tree, segment, root)
+    }
+
+    fn together(tree: &Tree, segments: &[Ray], visible: &mut [f32], packet: &mut Packet) {
+        packet::together::<Portable>(tree, segments, visible, packet);
     }
 }

@@ -5,6 +5,9 @@
 //! kernels give the same bits; only [`Lanes::mul_sub`], used where a margin absorbs it, may
 //! round once or twice.
 
+use crate::bvh::Tree;
+use crate::contract::Ray;
+use crate::packet::Packet;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
 
 /// Numbers in a [`Lanes`]; also children of a node and triangles of a leaf.
@@ -43,4 +46,16 @@ pub(crate) trait Lanes:
 
     /// Bit k is the truth value of lane k.
     fn bits(mask: Self::Mask) -> u32;
+}
+
+/// Lanes for which parts of the walk are compiled as functions of their own.
+///
+/// All else is inlined whole into a kernel's entry points; these two are not, because together
+/// in one function they would be short of registers.
+pub(crate) trait Kernel: Lanes {
+    /// [`crate::traverse::visibility`].
+    fn alone(tree: &Tree, segment: &Ray, root: u32) -> f32;
+
+    /// [`crate::packet::together`].
+    fn together(tree: &Tree, segments: &[Ray], visible: &mut [f32], packet: &mut Packet);
 }

@@ -10,18 +10,18 @@
 //! A triangle is tested by the arithmetic of the single ray, lanes being segments instead of
 //! triangles, so the answer is the same to the bit.
 
-use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, PARTIAL, Tree};
+use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, Tree};
 use crate::contract::Ray;
-use crate::lanes::{Lanes, WIDTH};
+use crate::lanes::{Kernel, Lanes, WIDTH};
 use crate::traverse::{
-    LEAST_SLOPE, MARGIN, Room, Waiting, crossing, dominant_axis, is_usable, splat, visibility,
+    LEAST_SLOPE, MARGIN, Room, Waiting, crossing, dominant_axis, is_usable, splat,
 };
 use luxel_core::Vec3;
 
 /// Most segments in a packet.
 const MOST: usize = 16;
 /// Least segments worth a packet.
-const LEAST: usize = 5;
+const LEAST: usize = 6;
 /// Segments in a subtree from which on they go together.
 const TOGETHER: u32 = 4;
 /// Most groups: sixteen segments along three axes fill at most four.
@@ -31,22 +31,26 @@ const SPREAD: f32 = 0.35;
 
 /// Share of light that passes along each segment.
 #[inline(always)]
-pub(crate) fn visibility_batch<L: Lanes>(tree: &Tree, segments: &[Ray], visible: &mut [f32]) {
-    let mut room = Room::new();
-    let mut room_of_packet = Room::new();
+pub(crate) fn visibility_batch<K: Kernel>(tree: &Tree, segments: &[Ray], visible: &mut [f32]) {
+    let count = segments.len().min(visible.len());
     let mut from = 0;
-    while from < segments.len().min(visible.len()) {
-        let count = coherent(&segments[from..]);
-        let run = from..from + count;
-        if count < LEAST {
-            for k in run {
-                visible[k] = visibility::<L>(tree, &segments[k], tree.root, &mut room);
+    if count >= LEAST {
+        let mut packet = Packet::new();
+        while from < count {
+            let run = from..from + coherent(&segments[from..count]);
+            from = run.end;
+            if run.len() >= LEAST {
+                let (segments, visible) = (&segments[run.clone()], &mut visible[run]);
+                K::together(tree, segments, visible, &mut packet);
+            } else {
+                for k in run {
+                    visible[k] = K::alone(tree, &segments[k], tree.root);
+                }
             }
-        } else {
-            let (segments, visible) = (&segments[run.clone()], &mut visible[run]);
-            together::<L>(tree, segments, visible, &mut room_of_packet, &mut room);
         }
-        from += count;
+    }
+    for k in from..count {
+        visible[k] = K::alone(tree, &segments[k], tree.root);
     }
 }
 
@@ -72,94 +76,139 @@ fn coherent(segments: &[Ray]) -> usize {
     segments.len().min(MOST)
 }
 
-/// Up to eight segments with the same dominant axis, field by field.
-struct Group<L> {
-    inverse: [L; 3],
-    near: [L; 3],
-    far: [L; 3],
-    /// In the order of `axes`.
-    origin: [L; 3],
-    slope: [L; 2],
-    inverse_z: L,
-    axes: [usize; 3],
-    t_min: L,
-    t_max: L,
+/// What a packet needs while it walks; made once a batch.
+pub(crate) struct Packet {
+    groups: [Group; GROUPS],
+    /// Which segment is in which lane.
+    numbers: [u8; GROUPS * WIDTH],
+    room: Room<u32>,
 }
 
-impl<L: Lanes> Group<L> {
-    /// Lanes beyond `segments` have an empty range.
+impl Packet {
+    fn new() -> Packet {
+        Packet {
+            groups: [Group::EMPTY; GROUPS],
+            numbers: [0; GROUPS * WIDTH],
+            room: Room::new(),
+        }
+    }
+
+    /// Sorts segments into groups; returns how many groups, and the lanes in use.
     #[inline(always)]
-    fn new(segments: &[Ray], numbers: &[u8], z: usize, extent: f32) -> Group<L> {
-        let mut origin = [[0.0f32; WIDTH]; 3];
+    fn fill(&mut self, segments: &[Ray], extent: f32) -> (usize, u32) {
+        let mut used = 0u32;
+        let mut group_count = 0;
+        for z in 0..3 {
+            let first = group_count * WIDTH;
+            let mut end = first;
+            for (number, ray) in segments.iter().enumerate() {
+                if dominant_axis(ray) == z {
+                    self.numbers[end] = number as u8;
+                    used |= 1 << end;
+                    end += 1;
+                }
+            }
+            for lanes in self.numbers[first..end].chunks(WIDTH) {
+                self.groups[group_count].fill(segments, lanes, z, extent);
+                group_count += 1;
+            }
+        }
+        (group_count, used)
+    }
+}
+
+/// Up to eight segments with the same dominant axis, field by field.
+#[derive(Clone, Copy)]
+#[repr(align(32))]
+struct Group {
+    inverse: [[f32; WIDTH]; 3],
+    near: [[f32; WIDTH]; 3],
+    far: [[f32; WIDTH]; 3],
+    /// In the order of `axes`.
+    origin: [[f32; WIDTH]; 3],
+    slope: [[f32; WIDTH]; 2],
+    inverse_z: [f32; WIDTH],
+    t_min: [f32; WIDTH],
+    t_max: [f32; WIDTH],
+    axes: [usize; 3],
+}
+
+impl Group {
+    const EMPTY: Group = Group {
+        inverse: [[0.0; WIDTH]; 3],
+        near: [[0.0; WIDTH]; 3],
+        far: [[0.0; WIDTH]; 3],
+        origin: [[0.0; WIDTH]; 3],
+        slope: [[0.0; WIDTH]; 2],
+        inverse_z: [0.0; WIDTH],
+        t_min: [0.0; WIDTH],
+        t_max: [0.0; WIDTH],
+        axes: [0; 3],
+    };
+
+    /// Lanes beyond `numbers` get an empty range.
+    #[inline(always)]
+    fn fill(&mut self, segments: &[Ray], numbers: &[u8], z: usize, extent: f32) {
+        let (x, y) = ((z + 1) % 3, (z + 2) % 3);
+        self.axes = [x, y, z];
         let mut direction = [[1.0f32; WIDTH]; 3];
-        let mut range = [[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]];
+        let mut reach = [extent; WIDTH];
+        self.t_min = [f32::INFINITY; WIDTH];
+        self.t_max = [f32::NEG_INFINITY; WIDTH];
         for (lane, &number) in numbers.iter().enumerate() {
             let ray = &segments[number as usize];
-            for axis in 0..3 {
-                origin[axis][lane] = ray.origin[axis];
-                direction[axis][lane] = ray.direction[axis];
+            for (k, axis) in [x, y, z].into_iter().enumerate() {
+                self.origin[k][lane] = ray.origin[axis];
+                direction[k][lane] = ray.direction[axis];
             }
-            range[0][lane] = ray.t_min;
-            range[1][lane] = ray.t_max;
+            reach[lane] += ray.origin.abs().max_element();
+            self.t_min[lane] = ray.t_min;
+            self.t_max[lane] = ray.t_max;
         }
-        let mut slabs = [[[0.0f32; WIDTH]; 3]; 3];
-        let mut slopes = [[0.0f32; WIDTH]; 3];
-        let (x, y) = ((z + 1) % 3, (z + 2) % 3);
-        for lane in 0..WIDTH {
-            let (o, d) = (origin, direction);
-            let reach = o[0][lane].abs().max(o[1][lane].abs()).max(o[2][lane].abs()) + extent;
-            let least = d[z][lane].abs() * LEAST_SLOPE;
-            for axis in 0..3 {
-                let d = d[axis][lane];
+        // From here on eight at a time; the same operations as in `traverse::prepare`.
+        for (k, axis) in [x, y, z].into_iter().enumerate() {
+            for lane in 0..WIDTH {
+                let least = direction[2][lane].abs() * LEAST_SLOPE;
+                let d = direction[k][lane];
                 let inverse = 1.0
                     / if d.abs() < least {
                         least.copysign(d)
                     } else {
                         d
                     };
-                let widened = MARGIN * reach * inverse.abs();
-                slabs[0][axis][lane] = inverse;
-                slabs[1][axis][lane] = o[axis][lane] * inverse + widened;
-                slabs[2][axis][lane] = o[axis][lane] * inverse - widened;
+                let widened = MARGIN * reach[lane] * inverse.abs();
+                let start = self.origin[k][lane] * inverse;
+                self.inverse[axis][lane] = inverse;
+                self.near[axis][lane] = start + widened;
+                self.far[axis][lane] = start - widened;
             }
-            slopes[2][lane] = 1.0 / d[z][lane];
-            slopes[0][lane] = d[x][lane] * slopes[2][lane];
-            slopes[1][lane] = d[y][lane] * slopes[2][lane];
         }
-        Group {
-            inverse: load(&slabs[0]),
-            near: load(&slabs[1]),
-            far: load(&slabs[2]),
-            origin: [
-                L::load(&origin[x]),
-                L::load(&origin[y]),
-                L::load(&origin[z]),
-            ],
-            slope: [L::load(&slopes[0]), L::load(&slopes[1])],
-            inverse_z: L::load(&slopes[2]),
-            axes: [x, y, z],
-            t_min: L::load(&range[0]),
-            t_max: L::load(&range[1]),
+        for lane in 0..WIDTH {
+            let inverse_z = 1.0 / direction[2][lane];
+            self.inverse_z[lane] = inverse_z;
+            self.slope[0][lane] = direction[0][lane] * inverse_z;
+            self.slope[1][lane] = direction[1][lane] * inverse_z;
         }
     }
 
     /// Which segments enter one child's box, as bits.
     #[inline(always)]
-    fn enters(&self, node: &Node, child: usize) -> u32 {
-        let mut enter = self.t_min;
-        let mut leave = self.t_max;
+    fn enters<L: Lanes>(&self, node: &Node, child: usize) -> u32 {
+        let mut enter = L::load(&self.t_min);
+        let mut leave = L::load(&self.t_max);
         for axis in 0..3 {
-            let a = L::splat(node.planes[2 * axis][child]) * self.inverse[axis];
-            let b = L::splat(node.planes[2 * axis + 1][child]) * self.inverse[axis];
-            enter = (a.min(b) - self.near[axis]).max(enter);
-            leave = (a.max(b) - self.far[axis]).min(leave);
+            let inverse = L::load(&self.inverse[axis]);
+            let a = L::splat(node.planes[2 * axis][child]) * inverse;
+            let b = L::splat(node.planes[2 * axis + 1][child]) * inverse;
+            enter = (a.min(b) - L::load(&self.near[axis])).max(enter);
+            leave = (a.max(b) - L::load(&self.far[axis])).min(leave);
         }
         L::bits(enter.le(leave))
     }
 
     /// Which segments cross one triangle, as bits.
     #[inline(always)]
-    fn crosses(&self, leaf: &Leaf, triangle: usize) -> u32 {
+    fn cross_one<L: Lanes>(&self, leaf: &Leaf, triangle: usize) -> u32 {
         let [x, y, z] = self.axes;
         let [a, b, c] = &leaf.corners;
         let corners = [
@@ -167,14 +216,41 @@ impl<L: Lanes> Group<L> {
             splat([b[x][triangle], b[y][triangle], b[z][triangle]]),
             splat([c[x][triangle], c[y][triangle], c[z][triangle]]),
         ];
+        let origin = load(&self.origin);
+        let slope = [L::load(&self.slope[0]), L::load(&self.slope[1])];
+        let (t_min, t_max) = (L::load(&self.t_min), L::load(&self.t_max));
         match crossing(
             corners,
-            self.origin,
-            self.slope,
-            self.inverse_z,
-            self.t_min,
-            self.t_max,
+            origin,
+            slope,
+            L::load(&self.inverse_z),
+            t_min,
+            t_max,
         ) {
+            Some(crossing) => crossing.bits,
+            None => 0,
+        }
+    }
+
+    /// Which triangles one segment crosses, as bits.
+    #[inline(always)]
+    fn one_crosses<L: Lanes>(&self, leaf: &Leaf, lane: usize) -> u32 {
+        let [x, y, z] = self.axes;
+        let [a, b, c] = &leaf.corners;
+        let corners = [
+            [L::load(&a[x]), L::load(&a[y]), L::load(&a[z])],
+            [L::load(&b[x]), L::load(&b[y]), L::load(&b[z])],
+            [L::load(&c[x]), L::load(&c[y]), L::load(&c[z])],
+        ];
+        let origin = splat([
+            self.origin[0][lane],
+            self.origin[1][lane],
+            self.origin[2][lane],
+        ]);
+        let slope = [L::splat(self.slope[0][lane]), L::splat(self.slope[1][lane])];
+        let (t_min, t_max) = (L::splat(self.t_min[lane]), L::splat(self.t_max[lane]));
+        let inverse_z = L::splat(self.inverse_z[lane]);
+        match crossing(corners, origin, slope, inverse_z, t_min, t_max) {
             Some(crossing) => crossing.bits,
             None => 0,
         }
@@ -301,47 +377,25 @@ impl<L: Lanes> Shaft<L> {
 
 /// A packet through the tree.
 #[inline(always)]
-fn together<L: Lanes>(
+pub(crate) fn together<K: Kernel>(
     tree: &Tree,
     segments: &[Ray],
     visible: &mut [f32],
-    room: &mut Room<u32>,
-    room_of_one: &mut Room<()>,
+    packet: &mut Packet,
 ) {
-    // Lanes in the order of dominant axes: a group shares one.
-    let mut numbers = [0u8; GROUPS * WIDTH];
-    let mut groups: [Option<Group<L>>; GROUPS] = [const { None }; GROUPS];
-    let mut group_count = 0;
-    let mut used = 0u32;
-    for z in 0..3 {
-        let first = group_count * WIDTH;
-        let mut end = first;
-        for (number, ray) in segments.iter().enumerate() {
-            if dominant_axis(ray) == z {
-                numbers[end] = number as u8;
-                used |= 1 << end;
-                end += 1;
-            }
-        }
-        for lanes in numbers[first..end].chunks(WIDTH) {
-            groups[group_count] = Some(Group::new(segments, lanes, z, tree.extent));
-            group_count += 1;
-        }
-    }
-    let groups = &groups[..group_count];
-    let shaft = Shaft::<L>::new(segments, tree.extent);
+    let (group_count, used) = packet.fill(segments, tree.extent);
+    let groups = &packet.groups[..group_count];
+    let shaft = Shaft::<K>::new(segments, tree.extent);
+    let segment_of = |lane: usize| packet.numbers[lane] as usize;
     // Segments that met a surface with partial coverage: done again, one by one.
     let mut again = 0u32;
-    let mut stack = room.stack();
+    let mut stack = packet.room.stack();
     let mut live = used;
     let (mut current, mut here) = (tree.root, live);
     'walk: loop {
         if here.count_ones() < TOGETHER {
-            while here != 0 {
-                let lane = here.trailing_zeros() as usize;
-                here &= here - 1;
-                let number = numbers[lane] as usize;
-                let passed = visibility::<L>(tree, &segments[number], current, room_of_one);
+            for lane in ones(here) {
+                let passed = K::alone(tree, &segments[segment_of(lane)], current);
                 if passed == 0.0 {
                     live &= !(1 << lane);
                 } else if passed < 1.0 {
@@ -350,44 +404,25 @@ fn together<L: Lanes>(
             }
         } else if current & CHILD_IS_LEAF == 0 {
             let node = tree.node(current);
-            let mut bits = shaft.enters(node);
-            while bits != 0 {
-                let child = bits.trailing_zeros() as usize;
-                bits &= bits - 1;
+            for child in ones(shaft.enters(node)) {
                 let mut entering = 0;
                 for (k, group) in groups.iter().enumerate() {
-                    let Some(group) = group else { continue };
                     if (here >> (WIDTH * k)) & 0xff != 0 {
-                        entering |= group.enters(node, child) << (WIDTH * k);
+                        entering |= group.enters::<K>(node, child) << (WIDTH * k);
                     }
                 }
                 if entering & here != 0 {
+                    let with = entering & here;
                     stack.push(Waiting {
                         reference: node.child[child],
-                        with: entering & here,
+                        with,
                     });
                 }
             }
         } else {
-            let leaf = tree.leaf(current);
-            for triangle in 0..WIDTH {
-                if leaf.triangle[triangle] == u32::MAX {
-                    break;
-                }
-                let mut struck = 0;
-                for (k, group) in groups.iter().enumerate() {
-                    let Some(group) = group else { continue };
-                    if (here >> (WIDTH * k)) & 0xff != 0 {
-                        struck |= group.crosses(leaf, triangle) << (WIDTH * k);
-                    }
-                }
-                if leaf.triangle[triangle] & PARTIAL != 0 {
-                    again |= struck & here;
-                } else {
-                    here &= !struck;
-                    live &= !struck;
-                }
-            }
+            let (blocked, dimmed) = meet::<K>(tree.leaf(current), groups, here);
+            live &= !blocked;
+            again |= dimmed;
         }
         loop {
             let Some(next) = stack.pop() else { break 'walk };
@@ -398,14 +433,64 @@ fn together<L: Lanes>(
             }
         }
     }
-    while used != 0 {
-        let lane = used.trailing_zeros() as usize;
-        used &= used - 1;
-        let number = numbers[lane] as usize;
+    for lane in ones(used) {
+        let number = segment_of(lane);
         visible[number] = match (live >> lane & 1, again >> lane & 1) {
             (0, _) => 0.0,
             (_, 0) => 1.0,
-            _ => visibility::<L>(tree, &segments[number], tree.root, room_of_one),
+            _ => K::alone(tree, &segments[number], tree.root),
         };
     }
+}
+
+/// Which of the segments `here` a leaf blocks, and which meet partial coverage there.
+///
+/// Eight segments against one triangle or eight triangles against one segment, whichever takes
+/// fewer tests.
+#[inline(always)]
+fn meet<L: Lanes>(leaf: &Leaf, groups: &[Group], here: u32) -> (u32, u32) {
+    let mut partial = 0u32;
+    let mut triangles = 0;
+    for k in 0..WIDTH {
+        triangles += usize::from(leaf.triangle[k] != u32::MAX);
+        partial |= (leaf.triangle[k] >> 31) << k;
+    }
+    let (mut blocked, mut dimmed) = (0, 0);
+    let mut groups_here = 0;
+    for k in 0..groups.len() {
+        groups_here += usize::from((here >> (WIDTH * k)) & 0xff != 0);
+    }
+    if here.count_ones() as usize <= triangles * groups_here {
+        for lane in ones(here) {
+            let crossed = groups[lane / WIDTH].one_crosses::<L>(leaf, lane % WIDTH);
+            blocked |= u32::from(crossed & !partial != 0) << lane;
+            dimmed |= u32::from(crossed & partial != 0) << lane;
+        }
+    } else {
+        for triangle in 0..triangles {
+            let mut crossing = 0;
+            for (k, group) in groups.iter().enumerate() {
+                crossing |= group.cross_one::<L>(leaf, triangle) << (WIDTH * k);
+            }
+            if partial >> triangle & 1 == 0 {
+                blocked |= crossing & here;
+            } else {
+                dimmed |= crossing & here;
+            }
+        }
+    }
+    (blocked, dimmed)
+}
+
+/// The numbers of the bits that are set.
+#[inline(always)]
+fn ones(mut bits: u32) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        if bits == 0 {
+            return None;
+        }
+        let k = bits.trailing_zeros() as usize;
+        bits &= bits - 1;
+        Some(k)
+    })
 }

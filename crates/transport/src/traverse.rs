@@ -486,10 +486,11 @@ fn mix(word: u32) -> u32 {
 
 /// Share of light that passes one segment through the subtree at `root`.
 #[inline(always)]
-pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32, room: &mut Room<()>) -> f32 {
+pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32) -> f32 {
     let Some(beam) = Beam::<L>::new(ray, tree.extent) else {
         return 1.0;
     };
+    let mut room = Room::new();
     let mut stack = room.stack();
     let t_max = L::splat(ray.t_max);
     let mut passed = 1.0;
