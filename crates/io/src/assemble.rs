@@ -31,7 +31,7 @@ pub(crate) struct Assembly<'o> {
 }
 
 /// Places that are named for one kind of warning; the rest is counted for the file.
-const MOST_PLACES: usize = 20;
+const MOST_PLACES: usize = 8;
 /// Kinds of warnings that are told apart.
 const MOST_KINDS: usize = 200;
 
@@ -45,7 +45,9 @@ pub(crate) struct SurfaceOrigin {
 
 impl<'o> Assembly<'o> {
     pub(crate) fn new(file: &str, options: &'o ReadOptions) -> Self {
-        let stem = Path::new(file).file_stem().map(|s| s.to_string_lossy().into_owned());
+        let stem = Path::new(file)
+            .file_stem()
+            .map(|s| s.to_string_lossy().into_owned());
         let scene = Scene {
             name: stem.unwrap_or_else(|| "scene".into()),
             up: options.up.unwrap_or(crate::options::Up::Y).vector(),
@@ -94,7 +96,11 @@ impl<'o> Assembly<'o> {
             Some(Back::Black) => finish.back_reflects = false,
             None => {}
         }
-        if finish.emission.as_ref().is_some_and(|e| e.luminance.max_band() <= 0.0) {
+        if finish
+            .emission
+            .as_ref()
+            .is_some_and(|e| e.luminance.max_band() <= 0.0)
+        {
             finish.emission = None;
         }
         self.scene.finishes.push(finish);
@@ -145,9 +151,21 @@ impl<'o> Assembly<'o> {
             scene.uvs.resize(first, [Vec2::ZERO; 3]);
             scene.uvs.extend_from_slice(uvs);
         }
-        let SurfaceOrigin { name, node, mesh, primitive } = origin;
+        let SurfaceOrigin {
+            name,
+            node,
+            mesh,
+            primitive,
+        } = origin;
         let triangles = first as u32..end as u32;
-        scene.surfaces.push(Surface { name, finish, triangles, node, mesh, primitive });
+        scene.surfaces.push(Surface {
+            name,
+            finish,
+            triangles,
+            node,
+            mesh,
+            primitive,
+        });
         Ok(())
     }
 
@@ -184,8 +202,15 @@ impl<'o> Assembly<'o> {
             return Err(Error::new("triangles with an area", found));
         }
         self.make_groups(&origin);
-        let Assembly { scene, warnings, .. } = self;
-        Ok(Document { scene, warnings, source, triangles_read })
+        let Assembly {
+            scene, warnings, ..
+        } = self;
+        Ok(Document {
+            scene,
+            warnings,
+            source,
+            triangles_read,
+        })
     }
 
     /// One group for each material that shines and for each luminaire. `origin`: the finish that
@@ -199,23 +224,31 @@ impl<'o> Assembly<'o> {
         let mut taken = HashSet::new();
         let mut group_of = HashMap::new();
         for (k, finish) in scene.finishes.iter_mut().enumerate() {
-            let Some(emission) = finish.emission.as_mut() else { continue };
+            let Some(emission) = finish.emission.as_mut() else {
+                continue;
+            };
             if !used[k] {
                 finish.emission = None;
                 continue;
             }
             let material = self.material_of[origin[k].index()];
             emission.group = *group_of.entry(material).or_insert_with(|| {
-                scene.groups.push(Group { name: unique(&mut taken, &finish.name) });
+                scene.groups.push(Group {
+                    name: unique(&mut taken, &finish.name),
+                });
                 GroupId::from(scene.groups.len() - 1)
             });
         }
         for luminaire in &mut scene.luminaires {
             luminaire.group = GroupId::from(scene.groups.len());
-            scene.groups.push(Group { name: unique(&mut taken, &luminaire.name) });
+            scene.groups.push(Group {
+                name: unique(&mut taken, &luminaire.name),
+            });
         }
         if scene.groups.is_empty() {
-            scene.groups.push(Group { name: NO_LIGHT.into() });
+            scene.groups.push(Group {
+                name: NO_LIGHT.into(),
+            });
         }
     }
 }

@@ -11,7 +11,10 @@ pub(crate) struct Budget {
 
 impl Budget {
     pub(crate) fn new(bytes: u64) -> Self {
-        Budget { left: bytes, whole: bytes }
+        Budget {
+            left: bytes,
+            whole: bytes,
+        }
     }
 
     pub(crate) fn left(&self) -> u64 {

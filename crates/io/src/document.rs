@@ -85,7 +85,9 @@ pub type Resolver<'a> = dyn Fn(&str, u64) -> Result<Vec<u8>, String> + 'a;
 pub fn read(path: &Path, options: &ReadOptions) -> Result<Document, Error> {
     let file = path.display().to_string();
     let kind = Kind::of(path).ok_or_else(|| {
-        let found = path.extension().map_or("no extension".into(), |e| format!(".{}", e.display()));
+        let found = path
+            .extension()
+            .map_or("no extension".into(), |e| format!(".{}", e.display()));
         Error::new("a scene file .glb, .gltf or .obj", found).in_file(&file)
     })?;
     let bytes = file_bytes(path, options.memory_limit)
@@ -123,21 +125,17 @@ pub fn read_bytes(
 /// A whole file of at most `limit` bytes, or why not.
 fn file_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
     let why = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => format!("no file {}", path.display()),
-        _ => format!("{}: {e}", path.display()),
+        std::io::ErrorKind::NotFound => "no such file".to_owned(),
+        _ => e.to_string(),
     };
     let about = std::fs::metadata(path).map_err(why)?;
     if !about.is_file() {
         // A device or pipe may never end.
-        return Err(format!("{} is not a plain file", path.display()));
+        return Err("a folder or device".into());
     }
     if about.len() > limit {
-        return Err(format!(
-            "{}: {}, more than the {} that may be used",
-            path.display(),
-            readable(about.len()),
-            readable(limit)
-        ));
+        let (size, limit) = (readable(about.len()), readable(limit));
+        return Err(format!("{size}, more than the {limit} that may be used"));
     }
     let mut bytes = Vec::with_capacity(about.len() as usize);
     // The file may grow while it is read.

@@ -16,7 +16,7 @@ pub enum Place {
 /// What kept a file from being read.
 ///
 /// Printed as one line, without control characters:
-/// `room.glb: mesh 3, primitive 0, POSITION: expected 3 floats, found VEC2`.
+/// `room.glb: mesh 3, primitive 0, POSITION: expected VEC3, found 'VEC2'`.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct Error {
     /// File name as the user gave it.
@@ -73,14 +73,22 @@ impl fmt::Display for Error {
             Place::Line(line) => write!(f, ":{line}: ")?,
             Place::Part(part) => write!(f, ": {}: ", clean(part))?,
         }
-        write!(f, "expected {}, found {}", clean(&self.expected), clean(&self.found))
+        write!(
+            f,
+            "expected {}, found {}",
+            clean(&self.expected),
+            clean(&self.found)
+        )
     }
 }
 
 /// A piece of text from a file, fit for one line: no control characters, at most 200 characters.
 pub(crate) fn clean(text: &str) -> String {
-    let mut out: String =
-        text.chars().take(200).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let mut out: String = text
+        .chars()
+        .take(200)
+        .map(|c| if c.is_control() { ' ' } else { c })
+        .collect();
     if text.chars().nth(200).is_some() {
         out.push('…');
     }
@@ -105,16 +113,18 @@ mod tests {
 
     #[test]
     fn an_error_is_one_line_with_file_place_expected_and_found() {
-        let e = Error::new("3 floats", "VEC2")
+        let e = Error::new("VEC3", "'VEC2'")
             .within("POSITION")
             .within("primitive 0")
             .within("mesh 3")
             .in_file("room.glb");
         assert_eq!(
             e.to_string(),
-            "room.glb: mesh 3, primitive 0, POSITION: expected 3 floats, found VEC2"
+            "room.glb: mesh 3, primitive 0, POSITION: expected VEC3, found 'VEC2'"
         );
-        let e = Error::new("a number", "'a\nb'").at_line(17).in_file("room.obj");
+        let e = Error::new("a number", "'a\nb'")
+            .at_line(17)
+            .in_file("room.obj");
         assert_eq!(e.to_string(), "room.obj:17: expected a number, found 'a b'");
     }
 }

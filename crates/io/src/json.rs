@@ -44,7 +44,9 @@ fn wrong(key: &str, expected: impl Into<String>, value: &Value) -> Error {
 }
 
 fn finite(value: &Value) -> Option<f64> {
-    value.as_f64().filter(|v| v.is_finite() && v.abs() <= f32::MAX as f64)
+    value
+        .as_f64()
+        .filter(|v| v.is_finite() && v.abs() <= f32::MAX as f64)
 }
 
 /// A whole number: 3 and 3.0 are both written.
@@ -52,7 +54,9 @@ pub(crate) fn as_whole(value: &Value) -> Option<usize> {
     let n = match value.as_u64() {
         Some(n) => n,
         None => {
-            let v = value.as_f64().filter(|v| *v >= 0.0 && *v < 9e15 && v.fract() == 0.0)?;
+            let v = value
+                .as_f64()
+                .filter(|v| *v >= 0.0 && *v < 9e15 && v.fract() == 0.0)?;
             v as u64
         }
     };
@@ -85,7 +89,9 @@ impl Json for Value {
     }
 
     fn numbers<const N: usize>(&self, key: &str) -> Result<Option<[f64; N]>, Error> {
-        let Some(v) = self.member(key) else { return Ok(None) };
+        let Some(v) = self.member(key) else {
+            return Ok(None);
+        };
         let expected = || format!("{N} numbers");
         let list = v.as_array().filter(|a| a.len() == N);
         let list = list.ok_or_else(|| wrong(key, expected(), v))?;
@@ -127,7 +133,11 @@ impl Json for Value {
 
     fn name(&self) -> Option<String> {
         let name = self.member("name")?.as_str()?.trim();
-        if name.is_empty() { None } else { Some(clean(name)) }
+        if name.is_empty() {
+            None
+        } else {
+            Some(clean(name))
+        }
     }
 }
 
@@ -135,7 +145,10 @@ impl Json for Value {
 pub(crate) fn entry<'a>(root: &'a Value, key: &str, index: usize) -> Result<&'a Value, Error> {
     let list = root.list(key)?;
     let value = list.get(index).ok_or_else(|| {
-        Error::new(format!("one of {} {key}", list.len()), format!("index {index}"))
+        Error::new(
+            format!("one of {} {key}", list.len()),
+            format!("index {index}"),
+        )
     })?;
     if value.is_object() {
         Ok(value)

@@ -81,7 +81,9 @@ pub(crate) fn read(
         corners: Vec::new(),
     };
     for (number, line) in Lines::new(&text) {
-        reading.statement(&line, number).map_err(|e| e.at_line(number))?;
+        reading
+            .statement(&line, number)
+            .map_err(|e| e.at_line(number))?;
     }
     reading.into_surfaces()?;
     assembly.finish(Source::Obj)
@@ -90,7 +92,9 @@ pub(crate) fn read(
 impl Reading<'_, '_> {
     fn statement(&mut self, line: &str, number: usize) -> Result<(), Error> {
         let line = text::without_comment(line);
-        let Some(word) = line.split_whitespace().next() else { return Ok(()) };
+        let Some(word) = line.split_whitespace().next() else {
+            return Ok(());
+        };
         let rest = line.trim_start()[word.len()..].trim();
         match word {
             "v" => {
@@ -101,11 +105,14 @@ impl Reading<'_, '_> {
             "vt" => {
                 let mut words = rest.split_whitespace();
                 let u = number_of(words.next(), "1 to 3 numbers")?;
-                let v = words.next().map_or(Ok(0.0), |w| number_of(Some(w), "1 to 3 numbers"))?;
+                let v = words
+                    .next()
+                    .map_or(Ok(0.0), |w| number_of(Some(w), "1 to 3 numbers"))?;
                 self.budget.take(1, 8)?;
                 // OBJ counts v from below, our textures from above.
                 let uv = Vec2::new(u, 1.0 - v);
-                self.coordinates.push(if uv.is_finite() { uv } else { Vec2::ZERO });
+                self.coordinates
+                    .push(if uv.is_finite() { uv } else { Vec2::ZERO });
             }
             "f" | "fo" => self.face(rest)?,
             "o" => {
@@ -123,15 +130,19 @@ impl Reading<'_, '_> {
             }
             "mtllib" => self.library.load(rest, self.assembly, self.budget)?,
             "p" | "l" => {
-                self.assembly.warn("", "points and lines have no area and are left out", 1);
+                self.assembly
+                    .warn("", "points and lines have no area and are left out", 1);
             }
             "curv" | "curv2" | "surf" => {
-                self.assembly.warn("", "free-form curves and surfaces are left out", 1);
+                self.assembly
+                    .warn("", "free-form curves and surfaces are left out", 1);
             }
             "vn" | "vp" | "s" | "mg" | "lod" | "bevel" | "c_interp" | "d_interp" | "usemap"
             | "maplib" | "shadow_obj" | "trace_obj" | "cstype" | "deg" | "bmat" | "step"
             | "parm" | "trim" | "hole" | "scrv" | "sp" | "end" | "con" | "ctech" | "stech" => {}
-            _ => self.assembly.warn("", "statements that OBJ does not have were ignored", 1),
+            _ => self
+                .assembly
+                .warn("", "statements that OBJ does not have were ignored", 1),
         }
         Ok(())
     }
@@ -141,24 +152,39 @@ impl Reading<'_, '_> {
         corners.clear();
         for word in rest.split_whitespace() {
             let mut parts = word.split('/');
-            let position = index(parts.next().unwrap_or(""), self.positions.len(), word, "vertices")?;
+            let position = index(
+                parts.next().unwrap_or(""),
+                self.positions.len(),
+                word,
+                "vertices",
+            )?;
             let coordinate = match parts.next() {
                 None | Some("") => None,
-                Some(t) => {
-                    Some(index(t, self.coordinates.len(), word, "texture coordinates")?)
-                }
+                Some(t) => Some(index(
+                    t,
+                    self.coordinates.len(),
+                    word,
+                    "texture coordinates",
+                )?),
             };
             corners.push((position, coordinate));
         }
         if corners.len() < 3 {
-            self.assembly.warn("", "faces of less than three corners were dropped", 1);
+            self.assembly
+                .warn("", "faces of less than three corners were dropped", 1);
             self.corners = corners;
             return Ok(());
         }
         let part = self.current_part();
-        let ring: Vec<Vec3> = corners.iter().map(|c| self.positions[c.0 as usize]).collect();
+        let ring: Vec<Vec3> = corners
+            .iter()
+            .map(|c| self.positions[c.0 as usize])
+            .collect();
         if ring.len() > polygon::MOST_CORNERS {
-            let what = format!("faces of more than {} corners were cut as fans", polygon::MOST_CORNERS);
+            let what = format!(
+                "faces of more than {} corners were cut as fans",
+                polygon::MOST_CORNERS
+            );
             self.assembly.warn("", what, 1);
         }
         if !polygon::is_flat(&ring) {
@@ -171,7 +197,9 @@ impl Reading<'_, '_> {
             part.triangles.push(ear.map(|k| corners[k].0));
             if let Some(transform) = transform {
                 part.uvs.push(ear.map(|k| {
-                    let uv = corners[k].1.map_or(Vec2::ZERO, |t| self.coordinates[t as usize]);
+                    let uv = corners[k]
+                        .1
+                        .map_or(Vec2::ZERO, |t| self.coordinates[t as usize]);
                     transform.apply(uv)
                 }));
             }
@@ -189,19 +217,40 @@ impl Reading<'_, '_> {
             self.places.push(names.clone());
             self.places.len() - 1
         });
-        let part = *self.part_of.entry((place, self.material)).or_insert_with(|| {
-            let (triangles, uvs) = (Vec::new(), Vec::new());
-            self.parts.push(Part { place, material: self.material, triangles, uvs });
-            self.parts.len() - 1
-        });
+        let part = *self
+            .part_of
+            .entry((place, self.material))
+            .or_insert_with(|| {
+                let (triangles, uvs) = (Vec::new(), Vec::new());
+                self.parts.push(Part {
+                    place,
+                    material: self.material,
+                    triangles,
+                    uvs,
+                });
+                self.parts.len() - 1
+            });
         self.part = Some(part);
         part
     }
 
     /// Moves what was read into the scene.
     fn into_surfaces(self) -> Result<(), Error> {
-        let Reading { assembly, budget, mut library, positions, places, parts, bent, .. } = self;
-        assembly.warn("", "polygons that are not flat were split into triangles", bent);
+        let Reading {
+            assembly,
+            budget,
+            mut library,
+            positions,
+            places,
+            parts,
+            bent,
+            ..
+        } = self;
+        assembly.warn(
+            "",
+            "polygons that are not flat were split into triangles",
+            bent,
+        );
         assembly.add_positions(positions.into_iter(), budget)?;
         let mut materials = vec![0usize; places.len()];
         for part in &parts {
@@ -209,9 +258,9 @@ impl Reading<'_, '_> {
         }
         let mut finishes: HashMap<usize, FinishId> = HashMap::new();
         for (k, part) in parts.into_iter().enumerate() {
-            let finish = *finishes
-                .entry(part.material)
-                .or_insert_with(|| assembly.add_finish(library.finish(part.material), part.material));
+            let finish = *finishes.entry(part.material).or_insert_with(|| {
+                assembly.add_finish(library.finish(part.material), part.material)
+            });
             let material = assembly.scene.finishes[finish.index()].name.clone();
             let (object, group) = &places[part.place];
             let name = match (object.as_str(), group.as_str()) {
@@ -225,9 +274,17 @@ impl Reading<'_, '_> {
                 (_, 1) => name,
                 _ => format!("{name}, {material}"),
             };
-            let origin =
-                SurfaceOrigin { name, node: u32::MAX, mesh: u32::MAX, primitive: k as u32 };
-            let triangles = part.triangles.iter().enumerate().map(|(s, t)| (*t, s as u32));
+            let origin = SurfaceOrigin {
+                name,
+                node: u32::MAX,
+                mesh: u32::MAX,
+                primitive: k as u32,
+            };
+            let triangles = part
+                .triangles
+                .iter()
+                .enumerate()
+                .map(|(s, t)| (*t, s as u32));
             assembly.add_surface(origin, finish, triangles, &part.uvs, budget)?;
         }
         library.into_textures(assembly);
@@ -236,8 +293,10 @@ impl Reading<'_, '_> {
 }
 
 fn number_of(word: Option<&str>, expected: &str) -> Result<f32, Error> {
-    let found = |w: Option<&str>| w.map_or("the end of the line".into(), |w| format!("'{}'", clean(w)));
-    word.and_then(|w| w.parse().ok()).ok_or_else(|| Error::new(expected, found(word)))
+    let found =
+        |w: Option<&str>| w.map_or("the end of the line".into(), |w| format!("'{}'", clean(w)));
+    word.and_then(|w| w.parse().ok())
+        .ok_or_else(|| Error::new(expected, found(word)))
 }
 
 /// The first three numbers of a line; more may follow.
@@ -253,11 +312,18 @@ fn numbers(rest: &str, expected: &str) -> Result<[f32; 3], Error> {
 /// The index that a word of a face means, from 0.
 fn index(text: &str, count: usize, word: &str, things: &str) -> Result<u32, Error> {
     let wrong = || {
-        let expected = format!("an index from 1 to {count} or -1 to -{count} ({count} {things} so far)");
+        let expected = match count {
+            0 => format!("{things} before this line"),
+            _ => format!("an index of {things} so far, 1 to {count} or -{count} to -1"),
+        };
         Error::new(expected, format!("'{}'", clean(word)))
     };
     let number: i64 = text.parse().map_err(|_| wrong())?;
-    let place = if number > 0 { number - 1 } else { count as i64 + number };
+    let place = if number > 0 {
+        number - 1
+    } else {
+        count as i64 + number
+    };
     if number == 0 || place < 0 || place >= count as i64 {
         return Err(wrong());
     }
@@ -271,8 +337,14 @@ mod tests {
     fn read_text(text: &str) -> Result<Document, Error> {
         let resolver = |name: &str, _: u64| Err(format!("no file {name}"));
         let mut budget = Budget::new(1 << 26);
-        read("t.obj", text.as_bytes(), &resolver, &ReadOptions::default(), &mut budget)
-            .map_err(|e| e.in_file("t.obj"))
+        read(
+            "t.obj",
+            text.as_bytes(),
+            &resolver,
+            &ReadOptions::default(),
+            &mut budget,
+        )
+        .map_err(|e| e.in_file("t.obj"))
     }
 
     #[test]
@@ -280,17 +352,23 @@ mod tests {
         let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nv 1 0 1\nv 0 1 1\nf -3 -2 -1\n";
         let scene = read_text(text).unwrap().scene;
         assert_eq!(scene.corners(0), [Vec3::ZERO, Vec3::X, Vec3::Y]);
-        assert_eq!(scene.corners(1), [Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::new(0.0, 1.0, 1.0)]);
+        assert_eq!(
+            scene.corners(1),
+            [Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::new(0.0, 1.0, 1.0)]
+        );
     }
 
     #[test]
     fn errors_name_the_line() {
         for (text, message) in [
-            ("v 0 0\n", "t.obj:1: expected 3 numbers, found the end of the line"),
+            (
+                "v 0 0\n",
+                "t.obj:1: expected 3 numbers, found the end of the line",
+            ),
             ("\n\\\nv 0 0 x\n", "t.obj:2: expected 3 numbers, found 'x'"),
             (
                 "v 0 0 0\nf 1 2 3\n",
-                "t.obj:2: expected an index from 1 to 1 or -1 to -1 (1 vertices so far), found '2'",
+                "t.obj:2: expected an index of vertices so far, 1 to 1 or -1 to -1, found '2'",
             ),
             ("# nothing\n", "t.obj: expected triangles, found none"),
         ] {

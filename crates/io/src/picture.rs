@@ -31,7 +31,10 @@ pub(crate) fn mime(bytes: &[u8]) -> Option<&'static str> {
     if bytes.len() >= 12 && &bytes[..4] == b"RIFF" && &bytes[8..12] == b"WEBP" {
         return Some("image/webp");
     }
-    MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|(_, mime)| *mime)
+    MAGIC
+        .iter()
+        .find(|(magic, _)| bytes.starts_with(magic))
+        .map(|(_, mime)| *mime)
 }
 
 /// Decodes a PNG or JPEG file, or says why not.
@@ -47,10 +50,15 @@ pub(crate) fn decode(bytes: &[u8], budget: &mut Budget) -> Result<Picture, Strin
     let texels = width as u64 * height as u64;
     let bound = MOST_TEXELS.min((bytes.len() as u64).saturating_mul(MOST_TEXELS_A_BYTE));
     if texels == 0 || texels > bound {
-        return Err(format!("{width} x {height} texels in {} bytes", bytes.len()));
+        return Err(format!(
+            "{width} x {height} texels in {} bytes",
+            bytes.len()
+        ));
     }
     // The decoder holds up to 8 bytes a texel, the result 4 more.
-    budget.take(texels as usize, 12).map_err(|e| format!("too large: {}", e.found))?;
+    budget
+        .take(texels as usize, 12)
+        .map_err(|e| format!("too large: {}", e.found))?;
     let mut limits = Limits::default();
     limits.max_alloc = Some(texels * 16 + (1 << 24));
     let mut decoder = reader();
@@ -62,6 +70,14 @@ pub(crate) fn decode(bytes: &[u8], budget: &mut Budget) -> Result<Picture, Strin
         e.to_string()
     })?;
     let raw = raw.into_rgba8();
-    let rgba = raw.as_raw().chunks_exact(4).map(|t| [t[0], t[1], t[2], t[3]]).collect();
-    Ok(Picture { width, height, rgba })
+    let rgba = raw
+        .as_raw()
+        .chunks_exact(4)
+        .map(|t| [t[0], t[1], t[2], t[3]])
+        .collect();
+    Ok(Picture {
+        width,
+        height,
+        rgba,
+    })
 }

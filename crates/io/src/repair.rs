@@ -12,8 +12,7 @@
 mod seams;
 
 use luxel_core::{
-    Alpha, Emission, FinishId, Scene, Surface, SurfaceId, Texture, TextureId, Vec3,
-    Warnings,
+    Alpha, Emission, FinishId, Scene, Surface, SurfaceId, Texture, TextureId, Vec3, Warnings,
 };
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -92,12 +91,13 @@ enum Fate {
     Double,
 }
 
-/// Distance under which vertices are one, metres: rounding error at the middle vertex.
+/// Distance under which vertices are one, metres: rounding error at the middle triangle.
 fn weld_distance(scene: &Scene, dropped: &[Fate]) -> f64 {
     let mut sizes: Vec<f32> = Vec::new();
     for (t, corners) in scene.triangles.iter().enumerate() {
         if dropped[t] == Fate::Kept {
-            sizes.push(scene.positions[corners[0] as usize].abs().max_element());
+            let sizes_of = corners.map(|i| scene.positions[i as usize].abs().max_element());
+            sizes.push(sizes_of.into_iter().fold(0.0, f32::max));
         }
     }
     if sizes.is_empty() {
@@ -133,7 +133,8 @@ fn weld(scene: &mut Scene, tolerance: f64) -> usize {
             continue;
         }
         let cell_of = |offset: f64| {
-            p.to_array().map(|v| ((v as f64 + offset) / width).floor() as i64 as u64)
+            p.to_array()
+                .map(|v| ((v as f64 + offset) / width).floor() as i64 as u64)
         };
         let (low, high) = (cell_of(-tolerance), cell_of(tolerance));
         let found = (|| {
@@ -199,7 +200,14 @@ fn drop_flat(scene: &Scene, tolerance: f64, dropped: &mut [Fate]) {
 
 /// Finds triangles on the same three vertices.
 fn part_coincident(scene: &Scene, dropped: &mut [Fate]) {
-    let mut first: IntegerMap<[u32; 3], u32> = IntegerMap::default();
+    let shines = |t: usize| scene.finish_of(t).emission.is_some();
+    let solid = |t: usize| {
+        let f = scene.finish_of(t);
+        f.alpha == Alpha::Opaque && !f.transparent
+    };
+    let two_sided = |t: usize| scene.finish_of(t).back_reflects || scene.finish_of(t).back_emits;
+    // The triangle that stays on each set of vertices, for either winding.
+    let mut first: IntegerMap<[u32; 3], [u32; 2]> = IntegerMap::default();
     for t in 0..scene.triangles.len() {
         if dropped[t] != Fate::Kept {
             continue;
@@ -207,29 +215,35 @@ fn part_coincident(scene: &Scene, dropped: &mut [Fate]) {
         let corners = scene.triangles[t];
         let mut key = corners;
         key.sort_unstable();
-        let other = *first.entry(key).or_insert(t as u32) as usize;
-        if other == t {
+        let winding = even(corners, key) as usize;
+        let stays = first.entry(key).or_insert([u32::MAX; 2]);
+        let same = stays[winding] as usize;
+        if stays[winding] != u32::MAX {
+            // The brighter or the solid one is what the maker wanted to be seen.
+            if (shines(t), solid(t)) <= (shines(same), solid(same)) {
+                dropped[t] = Fate::Double;
+                continue;
+            }
+            dropped[same] = Fate::Double;
+        }
+        stays[winding] = t as u32;
+        let other = stays[1 - winding] as usize;
+        let wall = stays[1 - winding] != u32::MAX
+            && solid(t)
+            && solid(other)
+            && (two_sided(t) || two_sided(other));
+        if !wall {
             continue;
         }
-        let shines = |t: usize| scene.finish_of(t).emission.is_some();
-        let solid = |t: usize| {
-            let f = scene.finish_of(t);
-            f.alpha == Alpha::Opaque && !f.transparent
-        };
-        let two_sided = |t: usize| scene.finish_of(t).back_reflects || scene.finish_of(t).back_emits;
-        if even(corners, key) == even(scene.triangles[other], key) {
-            // The brighter or the solid one is what the maker wanted to be seen.
-            let second = (shines(t), solid(t)) > (shines(other), solid(other));
-            let (stays, goes) = if second { (t, other) } else { (other, t) };
-            dropped[goes] = Fate::Double;
-            first.insert(key, stays as u32);
-        } else if solid(t) && solid(other) && (two_sided(t) || two_sided(other)) {
-            if scene.finish_of(t) == scene.finish_of(other) && !shines(t) {
-                dropped[t] = Fate::Double;
-            } else {
-                dropped[t] = Fate::SingleSided;
-                dropped[other] = Fate::SingleSided;
-            }
+        if dropped[other] == Fate::Kept
+            && scene.finish_of(t) == scene.finish_of(other)
+            && !shines(t)
+        {
+            dropped[t] = Fate::Double;
+            stays[winding] = u32::MAX;
+        } else {
+            dropped[t] = Fate::SingleSided;
+            dropped[other] = Fate::SingleSided;
         }
     }
 }
@@ -245,10 +259,16 @@ const MOST_PLACES: usize = 8;
 
 fn report(scene: &Scene, file: &str, dropped: &[Fate], warnings: &mut Warnings) {
     let kinds = [
-        (Fate::NotFinite, "dropped triangles that are not finite or too far away"),
+        (
+            Fate::NotFinite,
+            "dropped triangles that are not finite or too far away",
+        ),
         (Fate::Flat, "dropped triangles without area"),
         (Fate::Double, "dropped triangles that coincide with another"),
-        (Fate::SingleSided, "faces back to back were made single-sided"),
+        (
+            Fate::SingleSided,
+            "faces back to back were made single-sided",
+        ),
     ];
     for (kind, what) in kinds {
         let mut places: Vec<(usize, usize)> = Vec::new();
@@ -315,7 +335,11 @@ fn rebuild(scene: &mut Scene, dropped: &[Fate], origin: &mut Vec<FinishId>) {
                 });
             }
             let triangles = start as u32..scene.triangles.len() as u32;
-            scene.surfaces.push(Surface { finish, triangles, ..surface.clone() });
+            scene.surfaces.push(Surface {
+                finish,
+                triangles,
+                ..surface.clone()
+            });
         }
     }
     scene.name = old.name;
@@ -358,7 +382,10 @@ fn clamp_reflectance(
             continue;
         };
         // Brightest byte that each band may have under its factor.
-        let most = finish.reflectance.to_array().map(|factor| brightest(factor, limit));
+        let most = finish
+            .reflectance
+            .to_array()
+            .map(|factor| brightest(factor, limit));
         let texture = &scene.textures[id.index()];
         let over = |t: &[u8; 4]| (0..3).any(|b| t[b] > most[b]);
         if !texture.rgba.iter().any(over) {
@@ -380,7 +407,11 @@ fn clamp_reflectance(
     }
     drop_unused_textures(scene);
     if names.len() > MOST_PLACES {
-        warnings.add(format!("{file}: {} materials", names.len()), &what, names.len());
+        warnings.add(
+            format!("{file}: {} materials", names.len()),
+            &what,
+            names.len(),
+        );
     } else {
         for name in names {
             warnings.add(format!("{file}: material '{name}'"), &what, 1);
@@ -400,7 +431,11 @@ fn drop_unused_textures(scene: &mut Scene) {
     let mut new = vec![TextureId::NONE; scene.textures.len()];
     let mut used = vec![false; scene.textures.len()];
     for finish in &scene.finishes {
-        for id in finish.texture.iter().chain(finish.emission.iter().flat_map(|e| &e.texture)) {
+        for id in finish
+            .texture
+            .iter()
+            .chain(finish.emission.iter().flat_map(|e| &e.texture))
+        {
             used[id.index()] = true;
         }
     }
@@ -414,8 +449,195 @@ fn drop_unused_textures(scene: &mut Scene) {
     scene.textures = kept;
     for finish in &mut scene.finishes {
         finish.texture = finish.texture.map(|id| new[id.index()]);
-        if let Some(Emission { texture: Some(id), .. }) = &mut finish.emission {
+        if let Some(Emission {
+            texture: Some(id), ..
+        }) = &mut finish.emission
+        {
             *id = new[id.index()];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use luxel_core::{Finish, Group, Rgb};
+
+    /// A scene of separate triangles, one surface for each entry of `parts`.
+    fn scene(finishes: Vec<Finish>, parts: &[(usize, &[[Vec3; 3]])]) -> Scene {
+        let mut s = Scene {
+            finishes,
+            up: Vec3::Y,
+            ..Scene::default()
+        };
+        s.groups.push(Group { name: "g".into() });
+        for (finish, triangles) in parts {
+            let start = s.triangles.len() as u32;
+            for (k, t) in triangles.iter().enumerate() {
+                let first = s.positions.len() as u32;
+                s.positions.extend(t);
+                s.triangles.push([first, first + 1, first + 2]);
+                s.source_triangle.push(k as u32);
+                s.surface_of.push(SurfaceId::from(s.surfaces.len()));
+            }
+            s.surfaces.push(Surface {
+                name: format!("part {}", s.surfaces.len()),
+                finish: FinishId::from(*finish),
+                triangles: start..s.triangles.len() as u32,
+                node: u32::MAX,
+                mesh: u32::MAX,
+                primitive: 0,
+            });
+        }
+        s
+    }
+
+    fn repaired(mut s: Scene) -> (Scene, Vec<String>) {
+        let mut warnings = Warnings::default();
+        repair(&mut s, "t", 0.9, &mut warnings);
+        (s, warnings.iter().map(|w| w.to_string()).collect())
+    }
+
+    const T: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::Y];
+    const TURNED: [Vec3; 3] = [Vec3::ZERO, Vec3::Y, Vec3::X];
+
+    fn two_sided(grey: f32) -> Finish {
+        Finish {
+            reflectance: Rgb::splat(grey),
+            back_reflects: true,
+            ..Finish::default()
+        }
+    }
+
+    #[test]
+    fn vertices_a_rounding_error_apart_become_one() {
+        let close = Vec3::new(1.0 + f32::EPSILON, 0.0, 0.0);
+        let far = Vec3::new(1.0 + 1e-5, 0.0, 0.0);
+        let z = Vec3::Z;
+        let s = scene(
+            vec![Finish::default()],
+            &[(0, &[T, [close, z, Vec3::Y], [far, z, -z]])],
+        );
+        let (s, said) = repaired(s);
+        // 0, x, y, z, far, -z: `close` is x, 10 micrometres are not.
+        assert_eq!(s.positions.len(), 6);
+        assert!(said[0].contains("welded"), "{said:?}");
+    }
+
+    #[test]
+    fn triangles_without_area_or_place_go_and_empty_surfaces_with_them() {
+        let nan = [Vec3::NAN, Vec3::X, Vec3::Y];
+        let far = [Vec3::splat(1e12), Vec3::X, Vec3::Y];
+        let line = [Vec3::ZERO, Vec3::X, Vec3::X * 2.0];
+        let s = scene(
+            vec![Finish::default()],
+            &[(0, &[nan, far]), (0, &[line, T])],
+        );
+        let (s, said) = repaired(s);
+        assert_eq!(
+            (s.triangles.len(), s.surfaces.len(), s.positions.len()),
+            (1, 1, 3)
+        );
+        assert_eq!(s.surfaces[0].name, "part 1");
+        assert_eq!(s.source_triangle, [1]);
+        assert!(
+            said.iter()
+                .any(|w| w.contains("'part 0'") && w.contains("(2 of them)")),
+            "{said:?}"
+        );
+        assert!(said.iter().any(|w| w.contains("without area")), "{said:?}");
+    }
+
+    #[test]
+    fn of_two_faces_at_one_place_the_brighter_stays() {
+        let lamp = Finish {
+            emission: Some(Emission {
+                luminance: Rgb::WHITE,
+                texture: None,
+                group: luxel_core::GroupId(0),
+            }),
+            ..Finish::default()
+        };
+        let s = scene(vec![Finish::default(), lamp], &[(0, &[T]), (1, &[T])]);
+        let (s, said) = repaired(s);
+        assert_eq!(s.triangles.len(), 1);
+        assert!(s.finish_of(0).emission.is_some());
+        assert!(said.iter().any(|w| w.contains("coincide")), "{said:?}");
+    }
+
+    #[test]
+    fn a_wall_between_two_rooms_has_one_face_on_each_side() {
+        // Single-sided back to back: as it should be.
+        let plain = vec![
+            Finish::default(),
+            Finish {
+                coverage: 0.5,
+                ..Finish::default()
+            },
+        ];
+        let (s, said) = repaired(scene(plain, &[(0, &[T]), (1, &[TURNED])]));
+        assert_eq!((s.triangles.len(), said.len()), (2, 0));
+        // Two-sided and different: each keeps its front.
+        let (s, said) = repaired(scene(
+            vec![two_sided(0.2), two_sided(0.7)],
+            &[(0, &[T]), (1, &[TURNED])],
+        ));
+        assert_eq!(s.triangles.len(), 2);
+        assert!((0..2).all(|t| !s.finish_of(t).back_reflects), "{said:?}");
+        assert!(said.iter().any(|w| w.contains("single-sided")), "{said:?}");
+        // Two-sided and alike: one is enough.
+        let (s, _) = repaired(scene(vec![two_sided(0.2)], &[(0, &[T]), (0, &[TURNED])]));
+        assert_eq!(s.triangles.len(), 1);
+        assert!(s.finish_of(0).back_reflects);
+    }
+
+    #[test]
+    fn reflectance_is_bounded_in_factors_and_texels() {
+        let mut finish = Finish {
+            reflectance: Rgb::new(1.0, 0.5, 0.95),
+            ..Finish::default()
+        };
+        let (s, said) = repaired(scene(vec![finish.clone()], &[(0, &[T])]));
+        assert_eq!(s.finishes[0].reflectance, Rgb::new(0.9, 0.5, 0.9));
+        assert!(said[0].contains("above 0.9"), "{said:?}");
+        finish.texture = Some(TextureId(0));
+        let mut s = scene(vec![finish], &[(0, &[T])]);
+        s.uvs = vec![[luxel_core::Vec2::ZERO; 3]];
+        let texel = vec![[255, 255, 100, 255]];
+        s.textures.push(Texture {
+            name: "t".into(),
+            width: 1,
+            height: 1,
+            rgba: texel,
+            wrap: Default::default(),
+        });
+        let (s, _) = repaired(s);
+        // sRGB 242 is 0.8879 and 243 is 0.8963, 244 is 0.9047 [IEC61966-2-1].
+        assert_eq!(s.textures[0].rgba[0], [243, 255, 100, 255]);
+        assert_eq!(s.textures.len(), 1);
+    }
+
+    #[test]
+    fn turned_neighbours_and_t_vertices_are_counted() {
+        let up = [Vec3::X, Vec3::new(1.0, 1.0, 0.0), Vec3::Y];
+        let turned = [up[0], up[2], up[1]];
+        let (_, said) = repaired(scene(vec![Finish::default()], &[(0, &[T, up])]));
+        assert!(said.is_empty(), "{said:?}");
+        let (_, said) = repaired(scene(vec![Finish::default()], &[(0, &[T, turned])]));
+        assert!(
+            said.iter().any(|w| w.contains("opposite winding")),
+            "{said:?}"
+        );
+        // Below the edge from 0 to x, two triangles that meet in its middle.
+        let (m, low) = (Vec3::X * 0.5, Vec3::new(0.5, -1.0, 0.0));
+        let below = [[Vec3::ZERO, low, m], [m, low, Vec3::X]];
+        let (_, said) = repaired(scene(
+            vec![Finish::default()],
+            &[(0, &[T, below[0], below[1]])],
+        ));
+        assert_eq!(
+            said,
+            ["t: T-vertices, inside the edge of another face, were left"]
+        );
     }
 }

@@ -37,7 +37,10 @@ pub fn add_lamp(scene: &mut Scene, text: &str) -> Result<(), String> {
 
 fn lamp(text: &str) -> Option<Luminaire> {
     let (body, colour) = match text.split_once('*') {
-        Some((body, rgb)) => (body, Rgb::from(three(rgb).filter(|c| c.iter().all(|v| *v >= 0.0))?)),
+        Some((body, rgb)) => (
+            body,
+            Rgb::from(three(rgb).filter(|c| c.iter().all(|v| *v >= 0.0))?),
+        ),
         None => (text, Rgb::WHITE),
     };
     let (amount, place) = body.split_once('@')?;
@@ -61,15 +64,21 @@ fn lamp(text: &str) -> Option<Luminaire> {
     let kind = match (unit, aim) {
         ("lx", None) if angles.is_none() => {
             (position, direction) = (Vec3::ZERO, unit_vector(place)?);
-            LuminaireKind::Directional { illuminance: colour * value }
+            LuminaireKind::Directional {
+                illuminance: colour * value,
+            }
         }
         ("lm", None) if angles.is_none() => {
             let candela = Lumens::new(value).isotropic_intensity().candela();
-            LuminaireKind::Point { intensity: colour * candela, range_m: f32::INFINITY }
+            LuminaireKind::Point {
+                intensity: colour * candela,
+                range_m: f32::INFINITY,
+            }
         }
-        ("cd", None) if angles.is_none() => {
-            LuminaireKind::Point { intensity: colour * value, range_m: f32::INFINITY }
-        }
+        ("cd", None) if angles.is_none() => LuminaireKind::Point {
+            intensity: colour * value,
+            range_m: f32::INFINITY,
+        },
         ("cd", Some(aim)) => {
             direction = unit_vector(Vec3::from(three(aim)?))?;
             let [inner, outer] = match angles {
@@ -88,7 +97,13 @@ fn lamp(text: &str) -> Option<Luminaire> {
         }
         _ => return None,
     };
-    Some(Luminaire { name: clean(text), position, direction, kind, group: GroupId::NONE })
+    Some(Luminaire {
+        name: clean(text),
+        position,
+        direction,
+        kind,
+        group: GroupId::NONE,
+    })
 }
 
 /// `N` finite numbers between commas.
@@ -96,7 +111,12 @@ fn list<const N: usize>(text: &str) -> Option<[f32; N]> {
     let mut out = [0.0; N];
     let mut words = text.split(',');
     for slot in &mut out {
-        *slot = words.next()?.trim().parse().ok().filter(|v: &f32| v.is_finite())?;
+        *slot = words
+            .next()?
+            .trim()
+            .parse()
+            .ok()
+            .filter(|v: &f32| v.is_finite())?;
     }
     words.next().is_none().then_some(out)
 }
@@ -108,7 +128,9 @@ fn three(text: &str) -> Option<[f32; 3]> {
 /// One number for all bands, or three.
 fn bands(text: &str) -> Option<Rgb> {
     let one = || list::<1>(text).map(|[v]| Rgb::splat(v));
-    one().or_else(|| three(text).map(Rgb::from)).filter(|c| c.r >= 0.0 && c.g >= 0.0 && c.b >= 0.0)
+    one()
+        .or_else(|| three(text).map(Rgb::from))
+        .filter(|c| c.r >= 0.0 && c.g >= 0.0 && c.b >= 0.0)
 }
 
 /// Sets the luminance of a material, `MATERIAL=5000` or `MATERIAL=5000,4000,3000`, cd/m².
@@ -120,11 +142,16 @@ pub fn set_emission(scene: &mut Scene, text: &str) -> Result<(), String> {
         .rsplit_once('=')
         .and_then(|(name, value)| Some((name, bands(value)?)))
         .ok_or_else(|| format!("emission '{}': expected MATERIAL=5000 (cd/m²)", clean(text)))?;
-    let hit: Vec<usize> =
-        (0..scene.finishes.len()).filter(|&k| scene.finishes[k].name == name).collect();
+    let hit: Vec<usize> = (0..scene.finishes.len())
+        .filter(|&k| scene.finishes[k].name == name)
+        .collect();
     if hit.is_empty() {
         let known = scene.finishes.iter().map(|f| f.name.as_str());
-        return Err(format!("no material '{}'; there are: {}", clean(name), listed(known)));
+        return Err(format!(
+            "no material '{}'; there are: {}",
+            clean(name),
+            listed(known)
+        ));
     }
     for &k in &hit {
         scene.finishes[k].emission = None;
@@ -133,7 +160,11 @@ pub fn set_emission(scene: &mut Scene, text: &str) -> Result<(), String> {
     if luminance.max_band() > 0.0 {
         let group = new_group(scene, name);
         for &k in &hit {
-            scene.finishes[k].emission = Some(Emission { luminance, texture: None, group });
+            scene.finishes[k].emission = Some(Emission {
+                luminance,
+                texture: None,
+                group,
+            });
         }
     }
     Ok(())
@@ -141,8 +172,12 @@ pub fn set_emission(scene: &mut Scene, text: &str) -> Result<(), String> {
 
 /// Sets the sky: the same luminance from everywhere outside, `3000` or `3000,3200,4000`, cd/m².
 pub fn set_sky(scene: &mut Scene, text: &str) -> Result<(), String> {
-    let luminance = bands(text)
-        .ok_or_else(|| format!("sky '{}': expected a luminance in cd/m², such as 3000", clean(text)))?;
+    let luminance = bands(text).ok_or_else(|| {
+        format!(
+            "sky '{}': expected a luminance in cd/m², such as 3000",
+            clean(text)
+        )
+    })?;
     scene.sky = None;
     drop_unused_groups(scene);
     if luminance.max_band() > 0.0 {
@@ -161,18 +196,27 @@ pub fn merge_groups(scene: &mut Scene, text: &str) -> Result<(), String> {
         .filter(|(name, members)| !name.trim().is_empty() && !members.trim().is_empty())
         .ok_or_else(|| format!("groups '{}': expected name=a,b,c", clean(text)))?;
     let mut member = vec![members.trim() == "*"; scene.groups.len()];
-    let mut rest = if members.trim() == "*" { "" } else { members.trim() };
+    let mut rest = if members.trim() == "*" {
+        ""
+    } else {
+        members.trim()
+    };
     while !rest.is_empty() {
         // The longest name that fits: a lamp's name holds commas itself.
         let fits = |g: &Group| {
-            rest.strip_prefix(g.name.as_str()).is_some_and(|r| r.is_empty() || r.trim_start().starts_with(','))
+            rest.strip_prefix(g.name.as_str())
+                .is_some_and(|r| r.is_empty() || r.trim_start().starts_with(','))
         };
         let best = (0..scene.groups.len())
             .filter(|&k| fits(&scene.groups[k]))
             .max_by_key(|&k| scene.groups[k].name.len());
         let Some(k) = best else {
             let known = scene.groups.iter().map(|g| g.name.as_str());
-            return Err(format!("no light group '{}'; there are: {}", clean(rest), listed(known)));
+            return Err(format!(
+                "no light group '{}'; there are: {}",
+                clean(rest),
+                listed(known)
+            ));
         };
         member[k] = true;
         rest = rest[scene.groups[k].name.len()..].trim_start();
@@ -187,8 +231,10 @@ pub fn merge_groups(scene: &mut Scene, text: &str) -> Result<(), String> {
             *group = onto;
         }
     }
-    let mut taken: HashSet<String> =
-        (0..scene.groups.len()).filter(|&k| !member[k]).map(|k| scene.groups[k].name.clone()).collect();
+    let mut taken: HashSet<String> = (0..scene.groups.len())
+        .filter(|&k| !member[k])
+        .map(|k| scene.groups[k].name.clone())
+        .collect();
     scene.groups[target].name = unique(&mut taken, name.trim());
     drop_unused_groups(scene);
     Ok(())
@@ -196,7 +242,10 @@ pub fn merge_groups(scene: &mut Scene, text: &str) -> Result<(), String> {
 
 /// Every place in a scene that names a group.
 fn all_group_ids(scene: &mut Scene) -> impl Iterator<Item = &mut GroupId> {
-    let finishes = scene.finishes.iter_mut().filter_map(|f| f.emission.as_mut());
+    let finishes = scene
+        .finishes
+        .iter_mut()
+        .filter_map(|f| f.emission.as_mut());
     finishes
         .map(|e| &mut e.group)
         .chain(scene.luminaires.iter_mut().map(|l| &mut l.group))
@@ -225,7 +274,9 @@ fn drop_unused_groups(scene: &mut Scene) {
         }
     }
     if kept.is_empty() {
-        kept.push(Group { name: NO_LIGHT.into() });
+        kept.push(Group {
+            name: NO_LIGHT.into(),
+        });
     }
     scene.groups = kept;
 }

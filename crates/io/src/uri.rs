@@ -7,14 +7,14 @@ use std::path::{Component, PathBuf};
 /// A scene file from elsewhere must not pull in what lies outside its folder: a picture of it
 /// would end up in the lit file.
 pub(crate) fn path_inside(name: &str) -> Result<PathBuf, String> {
-    let refuse = |why: &str| Err(format!("'{name}', {why}"));
+    let refuse = |why: &str| Err(why.to_owned());
     let text = name.replace('\\', "/");
     if text.contains("://") {
-        return refuse("an address on the network, which is not fetched");
+        return refuse("an address on the network");
     }
     let drive = text.as_bytes().get(1) == Some(&b':');
     if text.starts_with('/') || drive || text.contains('\0') {
-        return refuse("which is not a path beside the file");
+        return refuse("not a path beside the file");
     }
     let mut path = PathBuf::new();
     for part in std::path::Path::new(&text).components() {
@@ -23,13 +23,17 @@ pub(crate) fn path_inside(name: &str) -> Result<PathBuf, String> {
             Component::CurDir => {}
             Component::ParentDir => {
                 if !path.pop() {
-                    return refuse("which leaves the folder of the file");
+                    return refuse("a path that leaves the folder of the file");
                 }
             }
-            _ => return refuse("which is not a path beside the file"),
+            _ => return refuse("not a path beside the file"),
         }
     }
-    if path.as_os_str().is_empty() { refuse("which names no file") } else { Ok(path) }
+    if path.as_os_str().is_empty() {
+        refuse("no name of a file")
+    } else {
+        Ok(path)
+    }
 }
 
 /// A URI with its `%20`s turned into bytes [RFC3986]; what is no escape stays.
@@ -55,7 +59,10 @@ pub(crate) fn percent_decoded(uri: &str) -> String {
 
 /// The bytes of a `data:` URI, or why not; `None` when it is another kind of URI.
 pub(crate) fn data(uri: &str) -> Option<Result<Vec<u8>, String>> {
-    let rest = uri.get(..5).filter(|s| s.eq_ignore_ascii_case("data:")).map(|_| &uri[5..])?;
+    let rest = uri
+        .get(..5)
+        .filter(|s| s.eq_ignore_ascii_case("data:"))
+        .map(|_| &uri[5..])?;
     Some(match rest.split_once(',') {
         None => Err("data URI without a comma".into()),
         Some((head, body)) if head.trim_end().ends_with(";base64") => base64(body),
@@ -94,7 +101,12 @@ mod tests {
 
     #[test]
     fn base64_test_vectors_of_rfc_4648() {
-        for (plain, coded) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foobar", "Zm9vYmFy")] {
+        for (plain, coded) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foobar", "Zm9vYmFy"),
+        ] {
             assert_eq!(base64(coded).unwrap(), plain.as_bytes());
         }
         assert!(base64("Zm9v!").is_err());
@@ -102,9 +114,20 @@ mod tests {
 
     #[test]
     fn paths_stay_beside_the_file() {
-        assert_eq!(path_inside("a/../b c.png").unwrap(), PathBuf::from("b c.png"));
+        assert_eq!(
+            path_inside("a/../b c.png").unwrap(),
+            PathBuf::from("b c.png")
+        );
         assert_eq!(path_inside("./a\\b.png").unwrap(), PathBuf::from("a/b.png"));
-        for bad in ["../x", "/etc/passwd", "a/../../x", "C:\\x.png", "http://x/y", "", "a\0b"] {
+        for bad in [
+            "../x",
+            "/etc/passwd",
+            "a/../../x",
+            "C:\\x.png",
+            "http://x/y",
+            "",
+            "a\0b",
+        ] {
             assert!(path_inside(bad).is_err(), "{bad}");
         }
     }

@@ -5,7 +5,7 @@
 
 use crate::budget::Budget;
 use crate::document::{ExternalImage, Resolver};
-use crate::error::{Error, Within};
+use crate::error::{Error, Within, clean};
 use crate::json::{Json, entry};
 use crate::picture;
 use crate::uri;
@@ -38,12 +38,18 @@ pub(crate) fn container(bytes: &[u8]) -> Result<Container<'_>, Error> {
     let end = length as usize;
     let (mut at, mut json, mut bin) = (12, None, None);
     while at + 8 <= end {
-        let (Some(size), Some(kind)) = (word(at), word(at + 4)) else { break };
+        let (Some(size), Some(kind)) = (word(at), word(at + 4)) else {
+            break;
+        };
         let body = at + 8;
-        let next = body.checked_add(size as usize).filter(|&n| n <= end).ok_or_else(|| {
-            let found = format!("{} bytes", end - body);
-            Error::new(format!("{size} bytes"), found).within(format_args!("chunk at byte {at}"))
-        })?;
+        let next = body
+            .checked_add(size as usize)
+            .filter(|&n| n <= end)
+            .ok_or_else(|| {
+                let found = format!("{} bytes", end - body);
+                Error::new(format!("{size} bytes"), found)
+                    .within(format_args!("chunk at byte {at}"))
+            })?;
         match (kind, json) {
             (0x4e4f_534a, None) => json = Some(&bytes[body..next]),
             (0x004e_4942, _) if bin.is_none() => bin = Some(&bytes[body..next]),
@@ -94,7 +100,10 @@ impl Buffers {
                     None => return Ok(Vec::new()),
                 };
                 if data.len() < length {
-                    return Err(Error::new(format!("{length} bytes"), format!("{} bytes", data.len())));
+                    return Err(Error::new(
+                        format!("{length} bytes"),
+                        format!("{} bytes", data.len()),
+                    ));
                 }
                 Ok(data)
             };
@@ -112,10 +121,13 @@ impl Buffers {
     fn view<'a>(&'a self, json: &Value, index: usize) -> Result<View<'a>, Error> {
         let look = || {
             let view = entry(json, "bufferViews", index)?;
-            let buffer = view.whole("buffer")?.ok_or_else(|| Error::new("buffer", "none"))?;
+            let buffer = view
+                .whole("buffer")?
+                .ok_or_else(|| Error::new("buffer", "none"))?;
             let offset = view.whole("byteOffset")?.unwrap_or(0);
-            let length =
-                view.whole("byteLength")?.ok_or_else(|| Error::new("byteLength", "none"))?;
+            let length = view
+                .whole("byteLength")?
+                .ok_or_else(|| Error::new("byteLength", "none"))?;
             let whole = self.bytes.get(buffer).ok_or_else(|| {
                 let expected = format!("one of {} buffers", self.bytes.len());
                 Error::new(expected, format!("index {buffer}"))
@@ -134,7 +146,10 @@ impl Buffers {
                     };
                     Error::new(expected, found)
                 })?;
-            Ok(View { bytes, stride: view.whole("byteStride")? })
+            Ok(View {
+                bytes,
+                stride: view.whole("byteStride")?,
+            })
         };
         look().within(|| format!("bufferView {index}"))
     }
@@ -154,7 +169,10 @@ fn bytes_of(uri: &str, resolver: &Resolver<'_>, budget: &mut Budget) -> Result<V
             }
             data?
         }
-        None => resolver(&uri::percent_decoded(uri), budget.left())?,
+        None => {
+            let name = uri::percent_decoded(uri);
+            resolver(&name, budget.left()).map_err(|why| format!("'{}': {why}", clean(&name)))?
+        }
     };
     budget.take(bytes.len(), 1).map_err(|e| e.found)?;
     Ok(bytes)
@@ -176,12 +194,20 @@ impl<'a> ExternalImages<'a> {
             uris.push(uri.ok().flatten().map(str::to_owned));
         }
         let files = vec![None; uris.len()];
-        Ok(ExternalImages { uris, files, resolver })
+        Ok(ExternalImages {
+            uris,
+            files,
+            resolver,
+        })
     }
 
     /// Bytes of image `index`, which has a URI, or why not.
     pub(crate) fn get(&mut self, index: usize, budget: &mut Budget) -> Result<&[u8], String> {
-        let uri = self.uris.get(index).and_then(|u| u.as_deref()).ok_or("no URI")?;
+        let uri = self
+            .uris
+            .get(index)
+            .and_then(|u| u.as_deref())
+            .ok_or("no URI")?;
         let resolver = self.resolver;
         self.files[index]
             .get_or_insert_with(|| bytes_of(uri, resolver, budget))
@@ -193,7 +219,9 @@ impl<'a> ExternalImages<'a> {
     /// All pictures that lie in files of their own, for a writer.
     pub(crate) fn into_all(mut self, budget: &mut Budget) -> Vec<Option<ExternalImage>> {
         for index in 0..self.uris.len() {
-            let beside = self.uris[index].as_deref().is_some_and(|u| uri::data(u).is_none());
+            let beside = self.uris[index]
+                .as_deref()
+                .is_some_and(|u| uri::data(u).is_none());
             if beside {
                 // Why a picture without use cannot be read is nobody's concern.
                 let _ = self.get(index, budget);
@@ -201,10 +229,12 @@ impl<'a> ExternalImages<'a> {
                 self.files[index] = None;
             }
         }
-        let known = |bytes: Vec<u8>| {
-            picture::mime(&bytes).map(|mime| ExternalImage { mime, bytes })
-        };
-        self.files.into_iter().map(|f| f.and_then(Result::ok).and_then(known)).collect()
+        let known =
+            |bytes: Vec<u8>| picture::mime(&bytes).map(|mime| ExternalImage { mime, bytes });
+        self.files
+            .into_iter()
+            .map(|f| f.and_then(Result::ok).and_then(known))
+            .collect()
     }
 }
 
@@ -249,10 +279,17 @@ impl Component {
             Component::U8 => (b[0] as f64, 255.0),
             Component::I16 => (i16::from_le_bytes([b[0], b[1]]) as f64, 32767.0),
             Component::U16 => (u16::from_le_bytes([b[0], b[1]]) as f64, 65535.0),
-            Component::U32 => (u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as f64, 4294967295.0),
+            Component::U32 => (
+                u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as f64,
+                4294967295.0,
+            ),
             Component::F32 => return f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
         };
-        if normalized { (v / largest).max(-1.0) as f32 } else { v as f32 }
+        if normalized {
+            (v / largest).max(-1.0) as f32
+        } else {
+            v as f32
+        }
     }
 
     /// The whole number at the start of `b`, for unsigned types.
@@ -277,7 +314,10 @@ impl<'a> Strip<'a> {
         let stride = view.stride.unwrap_or(size);
         if stride < size {
             let found = format!("byteStride {stride}");
-            return Err(Error::new(format!("a stride of at least {size} bytes"), found));
+            return Err(Error::new(
+                format!("a stride of at least {size} bytes"),
+                found,
+            ));
         }
         // offset + (count - 1) * stride + size
         let need = (count as u64)
@@ -287,9 +327,16 @@ impl<'a> Strip<'a> {
             .saturating_add(offset as u64);
         if need > view.bytes.len() as u64 {
             let found = format!("{} bytes in its buffer view", view.bytes.len());
-            return Err(Error::new(format!("{need} bytes for {count} values"), found));
+            return Err(Error::new(
+                format!("{need} bytes for {count} values"),
+                found,
+            ));
         }
-        Ok(Strip { bytes: &view.bytes[offset..], stride, size })
+        Ok(Strip {
+            bytes: &view.bytes[offset..],
+            stride,
+            size,
+        })
     }
 
     fn at(&self, index: usize) -> &'a [u8] {
@@ -332,14 +379,17 @@ impl<'a> Accessor<'a> {
             let a = entry(json, "accessors", index)?;
             let code = a.whole("componentType")?;
             let code = code.ok_or_else(|| Error::new("componentType", "none"))?;
-            let component = Component::of(code).ok_or_else(|| {
-                Error::new("componentType 5120 to 5126", code.to_string())
-            })?;
-            let kind = a.text("type")?.ok_or_else(|| Error::new("a type", "none"))?;
+            let component = Component::of(code)
+                .ok_or_else(|| Error::new("componentType 5120 to 5126", code.to_string()))?;
+            let kind = a
+                .text("type")?
+                .ok_or_else(|| Error::new("a type", "none"))?;
             let width = width_of(kind)
                 .filter(|_| types.contains(&kind))
                 .ok_or_else(|| Error::new(types.join(" or "), format!("'{kind}'")))?;
-            let count = a.whole("count")?.ok_or_else(|| Error::new("count", "none"))?;
+            let count = a
+                .whole("count")?
+                .ok_or_else(|| Error::new("count", "none"))?;
             let offset = a.whole("byteOffset")?.unwrap_or(0);
             let size = component.size() * width;
             let base = a
@@ -348,14 +398,24 @@ impl<'a> Accessor<'a> {
                 .transpose()?;
             // Zeros without bytes: as many as a file of this size could have a use for.
             if base.is_none() && count as u64 > 65536 + 16 * buffers.total {
-                return Err(Error::new("a bufferView", format!("{count} values without one")));
+                return Err(Error::new(
+                    "a bufferView",
+                    format!("{count} values without one"),
+                ));
             }
             let sparse = match a.object("sparse")? {
                 None => None,
                 Some(s) => Some(Self::sparse(json, buffers, s, count, size).within(|| "sparse")?),
             };
             let normalized = a.flag("normalized")? && component != Component::F32;
-            Ok(Accessor { count, width, component, normalized, base, sparse })
+            Ok(Accessor {
+                count,
+                width,
+                component,
+                normalized,
+                base,
+                sparse,
+            })
         };
         look().within(|| format!("accessor {index}"))
     }
@@ -367,27 +427,45 @@ impl<'a> Accessor<'a> {
         all: usize,
         size: usize,
     ) -> Result<(usize, Component, Strip<'a>, Strip<'a>), Error> {
-        let count = sparse.whole("count")?.ok_or_else(|| Error::new("count", "none"))?;
+        let count = sparse
+            .whole("count")?
+            .ok_or_else(|| Error::new("count", "none"))?;
         if count > all {
-            return Err(Error::new(format!("at most {all} values"), count.to_string()));
+            return Err(Error::new(
+                format!("at most {all} values"),
+                count.to_string(),
+            ));
         }
         let strip = |key: &str, size: usize| {
             let part = sparse.object(key)?.ok_or_else(|| Error::new(key, "none"))?;
-            let view = part.whole("bufferView")?.ok_or_else(|| Error::new("bufferView", "none"))?;
+            let view = part
+                .whole("bufferView")?
+                .ok_or_else(|| Error::new("bufferView", "none"))?;
             let offset = part.whole("byteOffset")?.unwrap_or(0);
             Strip::new(buffers.view(json, view)?, offset, count, size).within(|| key.to_owned())
         };
-        let code = sparse.object("indices")?.map(|i| i.whole("componentType")).transpose()?;
+        let code = sparse
+            .object("indices")?
+            .map(|i| i.whole("componentType"))
+            .transpose()?;
         let kind = code
             .flatten()
             .and_then(Component::of)
             .filter(|k| matches!(k, Component::U8 | Component::U16 | Component::U32))
-            .ok_or_else(|| Error::new("indices of an unsigned type", format!("{:?}", code.flatten())))?;
+            .ok_or_else(|| {
+                Error::new(
+                    "indices of an unsigned type",
+                    format!("{:?}", code.flatten()),
+                )
+            })?;
         let places = strip("indices", kind.size())?;
         for k in 0..count {
             let place = kind.whole(places.at(k)) as usize;
             if place >= all {
-                return Err(Error::new(format!("indices below {all}"), place.to_string()));
+                return Err(Error::new(
+                    format!("indices below {all}"),
+                    place.to_string(),
+                ));
             }
         }
         Ok((count, kind, places, strip("values", size)?))
@@ -420,9 +498,15 @@ impl<'a> Accessor<'a> {
 
     /// All values as indices below `bound`.
     pub(crate) fn indices(&self, bound: usize, budget: &mut Budget) -> Result<Vec<u32>, Error> {
-        let unsigned = matches!(self.component, Component::U8 | Component::U16 | Component::U32);
+        let unsigned = matches!(
+            self.component,
+            Component::U8 | Component::U16 | Component::U32
+        );
         if !unsigned {
-            return Err(Error::new("indices of an unsigned type", format!("{:?}", self.component)));
+            return Err(Error::new(
+                "indices of an unsigned type",
+                format!("{:?}", self.component),
+            ));
         }
         budget.take(self.count, 4)?;
         let mut out = vec![0; self.count];

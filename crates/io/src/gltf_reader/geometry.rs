@@ -39,7 +39,11 @@ impl<'a> Meshes<'a> {
                 *uses.entry(mesh).or_insert(0) += 1;
             }
         }
-        Meshes { json, uses, decoded: HashMap::new() }
+        Meshes {
+            json,
+            uses,
+            decoded: HashMap::new(),
+        }
     }
 
     pub(crate) fn name(&self, mesh: usize) -> Option<String> {
@@ -73,7 +77,10 @@ impl<'a> Meshes<'a> {
                 assembly,
                 budget,
             };
-            if let Some(p) = reading.primitive(primitive, index as u32).within(|| &place)? {
+            if let Some(p) = reading
+                .primitive(primitive, index as u32)
+                .within(|| &place)?
+            {
                 out.push(p);
             }
         }
@@ -90,11 +97,15 @@ impl<'a> Meshes<'a> {
 /// 4 triangles, 5 strip, 6 fan: [GLTF20] 3.7.2.1, winding as there.
 pub(crate) fn triangles_of_mode(mode: usize, count: usize) -> Vec<[usize; 3]> {
     match mode {
-        4 => (0..count / 3).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect(),
+        4 => (0..count / 3)
+            .map(|k| [3 * k, 3 * k + 1, 3 * k + 2])
+            .collect(),
         5 => (0..count.saturating_sub(2))
             .map(|k| [k, k + 1 + k % 2, k + 2 - k % 2])
             .collect(),
-        6 => (0..count.saturating_sub(2)).map(|k| [k + 1, k + 2, 0]).collect(),
+        6 => (0..count.saturating_sub(2))
+            .map(|k| [k + 1, k + 2, 0])
+            .collect(),
         _ => Vec::new(),
     }
 }
@@ -120,7 +131,11 @@ impl Reading<'_, '_, '_, '_> {
             return Err(Error::new("a mode from 0 to 6", mode.to_string()).within("mode"));
         }
         if mode < 4 {
-            self.assembly.warn(self.place, "points and lines have no area and are left out", 1);
+            self.assembly.warn(
+                self.place,
+                "points and lines have no area and are left out",
+                1,
+            );
             return Ok(None);
         }
         let attributes = value.object("attributes")?;
@@ -148,22 +163,32 @@ impl Reading<'_, '_, '_, '_> {
         }
         self.budget.take(count, 24)?;
         let at = |i: usize| corners.as_ref().map_or(i as u32, |c| c[i]);
-        let triangles: Vec<[u32; 3]> =
-            triangles_of_mode(mode, count).into_iter().map(|t| t.map(at)).collect();
+        let triangles: Vec<[u32; 3]> = triangles_of_mode(mode, count)
+            .into_iter()
+            .map(|t| t.map(at))
+            .collect();
         if triangles.is_empty() {
             return Ok(None);
         }
         let (uvs, finish) = self.finish(value, attributes, &positions, &triangles)?;
         // What is held now is counted again where it is placed.
-        Ok(Some(Primitive { index, positions, triangles, uvs, finish }))
+        Ok(Some(Primitive {
+            index,
+            positions,
+            triangles,
+            uvs,
+            finish,
+        }))
     }
 
     fn positions(&mut self, accessor: usize, draco: bool) -> Result<Vec<[f32; 3]>, Error> {
         let mut read = || {
-            let a = Accessor::new(self.json, self.buffers, accessor, &["VEC3"])
-                .map_err(|e| if e.expected == "VEC3" { Error { expected: "3 floats".into(), ..e } } else { e })?;
+            let a = Accessor::new(self.json, self.buffers, accessor, &["VEC3"])?;
             if draco && !a.has_bytes() {
-                return Err(Error::new("plain positions", "KHR_draco_mesh_compression, which is not read"));
+                return Err(Error::new(
+                    "plain positions",
+                    "KHR_draco_mesh_compression, which is not read",
+                ));
             }
             let flat = a.floats(self.budget)?;
             Ok(flat.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
@@ -183,7 +208,9 @@ impl Reading<'_, '_, '_, '_> {
         triangles: &[[u32; 3]],
     ) -> Result<(Vec<[Vec2; 3]>, FinishId), Error> {
         let index = primitive.whole("material")?;
-        let material = self.materials.get(index, self.buffers, self.images, self.assembly, self.budget)?;
+        let material =
+            self.materials
+                .get(index, self.buffers, self.images, self.assembly, self.budget)?;
         let (base, glow) = (material.base.clone(), material.glow.clone());
         let mut finish = material.finish.clone();
         let mut plain = true;
@@ -252,13 +279,18 @@ impl Reading<'_, '_, '_, '_> {
         self.budget.take(triangles.len(), 24)?;
         let name = format!("TEXCOORD_{}", use_.place.set);
         let Some(accessor) = attributes.whole(&name).within(|| "attributes")? else {
-            self.warn(&format!("has a texture but no {name}: the first texel is taken everywhere"));
+            self.warn(&format!(
+                "has a texture but no {name}: the first texel is taken everywhere"
+            ));
             return Ok(vec![[Vec2::ZERO; 3]; triangles.len()]);
         };
         let mut read = || {
             let a = Accessor::new(self.json, self.buffers, accessor, &["VEC2"])?;
             if a.count < vertices {
-                return Err(Error::new(format!("{vertices} values"), a.count.to_string()));
+                return Err(Error::new(
+                    format!("{vertices} values"),
+                    a.count.to_string(),
+                ));
             }
             a.floats(self.budget)
         };
@@ -283,12 +315,21 @@ impl Reading<'_, '_, '_, '_> {
         let mut read = || {
             let a = Accessor::new(self.json, self.buffers, accessor, &["VEC3", "VEC4"])?;
             if a.count < vertices {
-                return Err(Error::new(format!("{vertices} values"), a.count.to_string()));
+                return Err(Error::new(
+                    format!("{vertices} values"),
+                    a.count.to_string(),
+                ));
             }
             Ok((a.width, a.floats(self.budget)?))
         };
         let (width, flat) = read().within(|| "COLOR_0")?;
-        let bounded = |v: f32| if v.is_finite() { v.clamp(0.0, 1.0) } else { 1.0 };
+        let bounded = |v: f32| {
+            if v.is_finite() {
+                v.clamp(0.0, 1.0)
+            } else {
+                1.0
+            }
+        };
         let at = |i: u32| {
             let k = i as usize * width;
             Rgb::new(bounded(flat[k]), bounded(flat[k + 1]), bounded(flat[k + 2]))
@@ -326,7 +367,11 @@ impl Reading<'_, '_, '_, '_> {
             })
             .collect();
         let height = texels.len().div_ceil(WIDTH).next_power_of_two();
-        let width = if height == 1 { texels.len().next_power_of_two() } else { WIDTH };
+        let width = if height == 1 {
+            texels.len().next_power_of_two()
+        } else {
+            WIDTH
+        };
         texels.resize(width * height, [255; 4]);
         let uvs = places
             .into_iter()
@@ -370,7 +415,11 @@ fn mean_by_area(
             *slot += area * band as f64;
         }
     }
-    if whole > 0.0 { Rgb::from(sum.map(|s| (s / whole) as f32)) } else { Rgb::WHITE }
+    if whole > 0.0 {
+        Rgb::from(sum.map(|s| (s / whole) as f32))
+    } else {
+        Rgb::WHITE
+    }
 }
 
 /// Mean of a texture over a triangle, at 64 points of a low-discrepancy sequence [Roberts18].
@@ -382,7 +431,9 @@ fn mean_over(texture: &Texture, uv: &[Vec2; 3]) -> Rgb {
         if s + t > 1.0 {
             (s, t) = (1.0 - s, 1.0 - t);
         }
-        sum += texture.sample(uv[0] * (1.0 - s - t) + uv[1] * s + uv[2] * t).0;
+        sum += texture
+            .sample(uv[0] * (1.0 - s - t) + uv[1] * s + uv[2] * t)
+            .0;
     }
     sum * (1.0 / 64.0)
 }
@@ -390,7 +441,11 @@ fn mean_over(texture: &Texture, uv: &[Vec2; 3]) -> Rgb {
 /// Encodes one linear value, 0..=1, as an sRGB byte [IEC61966-2-1].
 pub(crate) fn srgb_from_linear(v: f32) -> u8 {
     let v = v.clamp(0.0, 1.0);
-    let encoded = if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    let encoded = if v <= 0.003_130_8 {
+        v * 12.92
+    } else {
+        1.055 * v.powf(1.0 / 2.4) - 0.055
+    };
     (encoded * 255.0).round() as u8
 }
 
@@ -412,7 +467,10 @@ mod tests {
     #[test]
     fn encoding_is_the_inverse_of_decoding() {
         for byte in 0..=255 {
-            assert_eq!(srgb_from_linear(luxel_core::texture::linear_from_srgb(byte)), byte);
+            assert_eq!(
+                srgb_from_linear(luxel_core::texture::linear_from_srgb(byte)),
+                byte
+            );
         }
     }
 }

@@ -13,7 +13,9 @@ pub(crate) const MOST_INTENSITY: f64 = 1e12;
 /// An axis of a node as a unit vector: lights and cameras have no scale.
 fn axis(world: DMat4, column: usize) -> Option<Vec3> {
     let v: DVec3 = world.col(column).truncate();
-    v.try_normalize().map(|v| v.as_vec3()).filter(|v| v.is_finite())
+    v.try_normalize()
+        .map(|v| v.as_vec3())
+        .filter(|v| v.is_finite())
 }
 
 /// Where a node is, if that is anywhere.
@@ -31,16 +33,20 @@ pub(crate) fn luminaire(
     assembly: &mut Assembly<'_>,
 ) -> Result<(), Error> {
     const NAME: &str = "KHR_lights_punctual";
-    let place = || format!("node {index}");
-    let Some(reference) = node.extension(NAME).within(place)? else { return Ok(()) };
-    let Some(light) = reference.whole("light").within(place)? else {
-        return Err(Error::new("light", "none").within(NAME).within(place()));
+    let Some(reference) = node.extension(NAME)? else {
+        return Ok(());
+    };
+    let Some(light) = reference.whole("light").within(|| NAME)? else {
+        return Err(Error::new("light", "none").within(NAME));
     };
     let lights = json.extension(NAME)?;
     let lights = lights.ok_or_else(|| Error::new(format!("extensions.{NAME}"), "none"))?;
     let value = entry(lights, "lights", light).within(|| NAME)?;
     let within = || format!("light {light}");
-    let colour = value.numbers::<3>("color").within(within)?.unwrap_or([1.0; 3]);
+    let colour = value
+        .numbers::<3>("color")
+        .within(within)?
+        .unwrap_or([1.0; 3]);
     let strength = value.number("intensity").within(within)?.unwrap_or(1.0);
     let amount = colour.map(|c| (c * strength).clamp(0.0, MOST_INTENSITY) as f32);
     if amount != colour.map(|c| (c * strength) as f32) {
@@ -48,14 +54,21 @@ pub(crate) fn luminaire(
         assembly.warn(&within(), what, 1);
     }
     let intensity = Rgb::from(amount);
-    let range = value.number("range").within(within)?.unwrap_or(f64::INFINITY);
+    let range = value
+        .number("range")
+        .within(within)?
+        .unwrap_or(f64::INFINITY);
     let range_m = (range * scale) as f32;
     if range_m <= 0.0 {
-        return Err(Error::new("a range above 0", range.to_string()).within("range").within(within()));
+        return Err(Error::new("a range above 0", range.to_string())
+            .within("range")
+            .within(within()));
     }
     let kind = match value.text("type").within(within)? {
         Some("point") => LuminaireKind::Point { intensity, range_m },
-        Some("directional") => LuminaireKind::Directional { illuminance: intensity },
+        Some("directional") => LuminaireKind::Directional {
+            illuminance: intensity,
+        },
         Some("spot") => {
             let spot = value.object("spot").within(within)?.unwrap_or(&Value::Null);
             let inner = spot.number("innerConeAngle").within(within)?.unwrap_or(0.0);
@@ -81,9 +94,16 @@ pub(crate) fn luminaire(
         }
         None => return Err(Error::new("type", "none").within(within())),
     };
-    let name = node.name().or(value.name()).unwrap_or_else(|| format!("light {light}"));
+    let name = node
+        .name()
+        .or(value.name())
+        .unwrap_or_else(|| format!("light {light}"));
     if intensity.max_band() <= 0.0 {
-        assembly.warn(&format!("node {index}"), format!("light '{name}' is off and left out"), 1);
+        assembly.warn(
+            &format!("node {index}"),
+            format!("light '{name}' is off and left out"),
+            1,
+        );
         return Ok(());
     }
     let (Some(position), Some(back)) = (place_of(world), axis(world, 2)) else {
@@ -91,7 +111,13 @@ pub(crate) fn luminaire(
         assembly.warn(&format!("node {index}"), what, 1);
         return Ok(());
     };
-    assembly.add_luminaire(Luminaire { name, position, direction: -back, kind, group: GroupId::NONE });
+    assembly.add_luminaire(Luminaire {
+        name,
+        position,
+        direction: -back,
+        kind,
+        group: GroupId::NONE,
+    });
     Ok(())
 }
 
@@ -115,7 +141,10 @@ pub(crate) fn camera(
     let angle = lens.number("yfov").within(within)?;
     let angle = angle.ok_or_else(|| Error::new("yfov", "none").within(within()))?;
     let sensible = angle > 0.0 && angle < std::f64::consts::PI;
-    let name = node.name().or(value.name()).unwrap_or_else(|| format!("camera {camera}"));
+    let name = node
+        .name()
+        .or(value.name())
+        .unwrap_or_else(|| format!("camera {camera}"));
     let (Some(eye), Some(back), Some(up), true) =
         (place_of(world), axis(world, 2), axis(world, 1), sensible)
     else {
@@ -123,6 +152,12 @@ pub(crate) fn camera(
         assembly.warn(&format!("node {index}"), what, 1);
         return Ok(());
     };
-    assembly.add_view(View { name, eye, forward: -back, up, vertical_angle: angle as f32 });
+    assembly.add_view(View {
+        name,
+        eye,
+        forward: -back,
+        up,
+        vertical_angle: angle as f32,
+    });
     Ok(())
 }

@@ -119,7 +119,9 @@ impl<'a> Materials<'a> {
     ) -> Result<Material, Error> {
         let name = value.name().unwrap_or_else(|| place.to_owned());
         let shown = format!("{place} '{name}'");
-        let pbr = value.object("pbrMetallicRoughness")?.unwrap_or(&Value::Null);
+        let pbr = value
+            .object("pbrMetallicRoughness")?
+            .unwrap_or(&Value::Null);
         let factor = pbr
             .numbers::<4>("baseColorFactor")
             .within(|| "pbrMetallicRoughness")?
@@ -135,11 +137,15 @@ impl<'a> Materials<'a> {
             "OPAQUE" => Alpha::Opaque,
             "MASK" => {
                 let cutoff = value.number("alphaCutoff")?.unwrap_or(0.5);
-                Alpha::Mask { cutoff: cutoff as f32 }
+                Alpha::Mask {
+                    cutoff: cutoff as f32,
+                }
             }
             "BLEND" => Alpha::Blend,
             other => {
-                return Err(Error::new("OPAQUE, MASK or BLEND", format!("'{other}'")).within("alphaMode"));
+                return Err(
+                    Error::new("OPAQUE, MASK or BLEND", format!("'{other}'")).within("alphaMode")
+                );
             }
         };
         let transmission = match value.extension("KHR_materials_transmission")? {
@@ -152,7 +158,10 @@ impl<'a> Materials<'a> {
         } else if transmission > 0.0 {
             assembly.warn(&shown, "transmission of 0.5 or less is taken as opaque", 1);
         }
-        let base = match pbr.object("baseColorTexture").within(|| "pbrMetallicRoughness")? {
+        let base = match pbr
+            .object("baseColorTexture")
+            .within(|| "pbrMetallicRoughness")?
+        {
             Some(t) if !transparent => self
                 .texture(t, &shown, buffers, images, assembly, budget)
                 .within(|| "baseColorTexture")?,
@@ -193,7 +202,11 @@ impl<'a> Materials<'a> {
         let product = factor.map(|f| (f * strength) as f32);
         let bounded = product.map(|v| v.clamp(0.0, MOST_LUMINANCE));
         if bounded != product {
-            assembly.warn(shown, format!("luminance outside 0 to {MOST_LUMINANCE:e} cd/m² was clamped"), 1);
+            assembly.warn(
+                shown,
+                format!("luminance outside 0 to {MOST_LUMINANCE:e} cd/m² was clamped"),
+                1,
+            );
         }
         let luminance = Rgb::from(bounded);
         if luminance.max_band() <= 0.0 {
@@ -210,7 +223,14 @@ impl<'a> Materials<'a> {
             assembly.warn(shown, what, 1);
         }
         let texture = glow.as_ref().map(|t| t.texture);
-        Ok((Some(Emission { luminance, texture, group: GroupId::NONE }), glow))
+        Ok((
+            Some(Emission {
+                luminance,
+                texture,
+                group: GroupId::NONE,
+            }),
+            glow,
+        ))
     }
 
     /// A texture reference of a material; `None` when its picture cannot be read.
@@ -223,14 +243,17 @@ impl<'a> Materials<'a> {
         assembly: &mut Assembly<'_>,
         budget: &mut Budget,
     ) -> Result<Option<TextureUse>, Error> {
-        let index = reference.whole("index")?.ok_or_else(|| Error::new("index", "none"))?;
+        let index = reference
+            .whole("index")?
+            .ok_or_else(|| Error::new("index", "none"))?;
         let mut set = reference.whole("texCoord")?.unwrap_or(0);
         let mut rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         if let Some(t) = reference.extension("KHR_texture_transform")? {
             let [sx, sy] = t.numbers("scale")?.unwrap_or([1.0; 2]);
             let [ox, oy] = t.numbers("offset")?.unwrap_or([0.0; 2]);
             let (sin, cos) = t.number("rotation")?.unwrap_or(0.0).sin_cos();
-            rows = [[cos * sx, sin * sy, ox], [-sin * sx, cos * sy, oy]].map(|r| r.map(|v| v as f32));
+            rows =
+                [[cos * sx, sin * sy, ox], [-sin * sx, cos * sy, oy]].map(|r| r.map(|v| v as f32));
             set = t.whole("texCoord")?.unwrap_or(set);
         }
         let texture = entry(self.json, "textures", index)?;
@@ -250,7 +273,11 @@ impl<'a> Materials<'a> {
             _ => Wrap::Repeat,
         });
         let Some(source) = texture.whole("source")? else {
-            assembly.warn(shown, format!("texture {index} has no picture that is read here: only the factor counts"), 1);
+            assembly.warn(
+                shown,
+                format!("texture {index} has no picture that is read here: only the factor counts"),
+                1,
+            );
             return Ok(None);
         };
         let key = (source, wrap.map(|w| w as u8));
@@ -273,7 +300,10 @@ impl<'a> Materials<'a> {
                 id
             }
         };
-        Ok(id.map(|texture| TextureUse { texture, place: TexturePlace { set, rows } }))
+        Ok(id.map(|texture| TextureUse {
+            texture,
+            place: TexturePlace { set, rows },
+        }))
     }
 
     /// Decodes an image.
@@ -287,17 +317,25 @@ impl<'a> Materials<'a> {
         budget: &mut Budget,
     ) -> Result<Texture, String> {
         let short = |e: Error| match &e.place {
-            crate::error::Place::Part(part) => format!("{part}: expected {}, found {}", e.expected, e.found),
+            crate::error::Place::Part(part) => {
+                format!("{part}: expected {}, found {}", e.expected, e.found)
+            }
             _ => format!("expected {}, found {}", e.expected, e.found),
         };
         let image = entry(self.json, "images", index).map_err(short)?;
         let name = image.name().unwrap_or_else(|| format!("image {index}"));
-        let other = self.textures.iter().find_map(|(key, id)| (key.0 == index).then_some(*id));
+        let other = self
+            .textures
+            .iter()
+            .find_map(|(key, id)| (key.0 == index).then_some(*id));
         if let Some(Some(id)) = other {
             // The same picture, wrapped in another way.
             let known = &assembly.scene.textures[id.index()];
             budget.take(known.rgba.len(), 4).map_err(|e| e.found)?;
-            return Ok(Texture { wrap, ..known.clone() });
+            return Ok(Texture {
+                wrap,
+                ..known.clone()
+            });
         }
         let picture = match image.whole("bufferView").map_err(short)? {
             Some(view) => {
@@ -309,7 +347,17 @@ impl<'a> Materials<'a> {
             }
             None => return Err("neither uri nor bufferView".into()),
         };
-        let picture::Picture { width, height, rgba } = picture;
-        Ok(Texture { name, width, height, rgba, wrap })
+        let picture::Picture {
+            width,
+            height,
+            rgba,
+        } = picture;
+        Ok(Texture {
+            name,
+            width,
+            height,
+            rgba,
+            wrap,
+        })
     }
 }

@@ -55,8 +55,12 @@ const KNOWN: [&str; 17] = [
 ];
 
 /// Extensions that a file may require although we cannot decode them: the picture is left out.
-const PICTURES: [&str; 4] =
-    ["KHR_texture_basisu", "EXT_texture_webp", "EXT_texture_avif", "MSFT_texture_dds"];
+const PICTURES: [&str; 4] = [
+    "KHR_texture_basisu",
+    "EXT_texture_webp",
+    "EXT_texture_avif",
+    "MSFT_texture_dds",
+];
 
 /// Reads a glTF file, text or binary.
 pub(crate) fn read(
@@ -94,7 +98,9 @@ fn check_head(json: &Value, assembly: &mut Assembly<'_>) -> Result<(), Error> {
     if !json.is_object() {
         return Err(Error::new("a glTF object", found(json)));
     }
-    let asset = json.object("asset")?.ok_or_else(|| Error::new("asset", "none"))?;
+    let asset = json
+        .object("asset")?
+        .ok_or_else(|| Error::new("asset", "none"))?;
     let version = asset.text("version").within(|| "asset")?;
     let version = version.ok_or_else(|| Error::new("a version", "none").within("asset"))?;
     if version.split('.').next() != Some("2") {
@@ -113,7 +119,9 @@ fn check_head(json: &Value, assembly: &mut Assembly<'_>) -> Result<(), Error> {
         let known = KNOWN.contains(&name.as_str()) || PICTURES.contains(&name.as_str());
         if !known {
             let expected = "only extensions that are read here";
-            return Err(Error::new(expected, format!("required {name}")).within("extensionsRequired"));
+            return Err(
+                Error::new(expected, format!("required {name}")).within("extensionsRequired")
+            );
         }
     }
     for name in names("extensionsUsed")? {
@@ -123,7 +131,11 @@ fn check_head(json: &Value, assembly: &mut Assembly<'_>) -> Result<(), Error> {
     }
     for name in ["skins", "animations"] {
         let count = json.list(name)?.len();
-        assembly.warn("", format!("{name} are ignored: everything stands as its nodes do"), count);
+        assembly.warn(
+            "",
+            format!("{name} are ignored: everything stands as its nodes do"),
+            count,
+        );
     }
     Ok(())
 }
@@ -150,13 +162,23 @@ fn read_scene(
         let world = DMat4::from_scale(DVec3::splat(scale)) * world;
         let place = format!("node {index}");
         if let Some(mesh) = node.whole("mesh").within(|| &place)? {
+            entry(json, "meshes", mesh).within(|| &place)?;
             let primitives =
                 meshes.primitives(mesh, &mut materials, buffers, images, assembly, budget)?;
             let shared = meshes.name(mesh);
             let name = node.name().or(shared).unwrap_or_else(|| place.clone());
             for primitive in primitives.iter() {
-                place_primitive(index, mesh, &name, primitives.len(), primitive, world, assembly, budget)
-                    .within(|| &place)?;
+                place_primitive(
+                    index,
+                    mesh,
+                    &name,
+                    primitives.len(),
+                    primitive,
+                    world,
+                    assembly,
+                    budget,
+                )
+                .within(|| &place)?;
             }
         }
         if let Some(camera) = node.whole("camera").within(|| &place)? {
@@ -188,7 +210,10 @@ fn place_primitive(
     )?;
     let name = match siblings {
         1 => name.to_owned(),
-        _ => format!("{name}, {}", assembly.scene.finishes[primitive.finish.index()].name),
+        _ => format!(
+            "{name}, {}",
+            assembly.scene.finishes[primitive.finish.index()].name
+        ),
     };
     let origin = SurfaceOrigin {
         name,
@@ -215,7 +240,10 @@ fn place_primitive(
 /// The nodes of the default scene, parents before children, in file order.
 ///
 /// Without a scene: all nodes, from those that are nobody's child.
-fn placed_nodes<'a>(json: &'a Value, assembly: &mut Assembly<'_>) -> Result<Vec<Placed<'a>>, Error> {
+fn placed_nodes<'a>(
+    json: &'a Value,
+    assembly: &mut Assembly<'_>,
+) -> Result<Vec<Placed<'a>>, Error> {
     let nodes = json.list("nodes")?;
     let scenes = json.list("scenes")?;
     let children = |index: usize| -> Result<Vec<usize>, Error> {
@@ -251,7 +279,8 @@ fn placed_nodes<'a>(json: &'a Value, assembly: &mut Assembly<'_>) -> Result<Vec<
     };
     let mut seen = vec![false; nodes.len()];
     let mut out = Vec::new();
-    let mut stack: Vec<(usize, DMat4)> = roots.iter().rev().map(|&n| (n, DMat4::IDENTITY)).collect();
+    let mut stack: Vec<(usize, DMat4)> =
+        roots.iter().rev().map(|&n| (n, DMat4::IDENTITY)).collect();
     while let Some((index, parent)) = stack.pop() {
         let node = entry(json, "nodes", index)?;
         if std::mem::replace(&mut seen[index], true) {
@@ -281,7 +310,11 @@ fn local(node: &Value, index: usize, assembly: &mut Assembly<'_>) -> Result<DMat
         let what = format!("rotation of length {length:.3} was made a unit quaternion");
         assembly.warn(&format!("node {index}"), what, 1);
     }
-    let rotation = if length > 1e-12 { rotation / length } else { DQuat::IDENTITY };
+    let rotation = if length > 1e-12 {
+        rotation / length
+    } else {
+        DQuat::IDENTITY
+    };
     Ok(DMat4::from_scale_rotation_translation(
         DVec3::from_array(scale),
         rotation,

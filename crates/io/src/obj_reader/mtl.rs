@@ -87,7 +87,10 @@ impl<'r> Library<'r> {
         if let Some(&known) = self.index.get(name) {
             return known;
         }
-        let what = format!("material '{}' is not defined: reflectance 0.5 is taken", clean(name));
+        let what = format!(
+            "material '{}' is not defined: reflectance 0.5 is taken",
+            clean(name)
+        );
         assembly.warn(&format!("line {line}"), what, 1);
         self.materials.push(Material::new(&clean(name)));
         let new = self.materials.len() - 1;
@@ -115,7 +118,11 @@ impl<'r> Library<'r> {
             }
         }
         for (name, why) in failed {
-            assembly.warn(&clean(name), format!("material library cannot be read: {}", clean(&why)), 1);
+            assembly.warn(
+                &clean(name),
+                format!("material library cannot be read: {}", clean(&why)),
+                1,
+            );
         }
         Ok(())
     }
@@ -140,7 +147,9 @@ impl<'r> Library<'r> {
         let mut current = None;
         for (number, line) in Lines::new(&text) {
             let line = without_comment(&line);
-            let Some(word) = line.split_whitespace().next() else { continue };
+            let Some(word) = line.split_whitespace().next() else {
+                continue;
+            };
             let rest = line.trim_start()[word.len()..].trim();
             if word == "newmtl" {
                 budget.take(1, 256)?;
@@ -249,10 +258,15 @@ impl<'r> Library<'r> {
             }
         }
         let folder = library.replace('\\', "/");
-        let folder = folder.rsplit_once('/').map_or(String::new(), |(f, _)| format!("{f}/"));
+        let folder = folder
+            .rsplit_once('/')
+            .map_or(String::new(), |(f, _)| format!("{f}/"));
         let name = format!("{folder}{}", words.replace('\\', "/"));
         let texture = self.picture(&name, clamp, assembly, budget)?;
-        Some(Map { texture, coordinates: Coordinates { scale, offset } })
+        Some(Map {
+            texture,
+            coordinates: Coordinates { scale, offset },
+        })
     }
 
     fn picture(
@@ -268,15 +282,28 @@ impl<'r> Library<'r> {
         }
         let made = (self.resolver)(name, budget.left()).and_then(|b| picture::decode(&b, budget));
         let id = match made {
-            Ok(picture::Picture { width, height, rgba }) => {
+            Ok(picture::Picture {
+                width,
+                height,
+                rgba,
+            }) => {
                 self.see_through.push(rgba.iter().any(|t| t[3] < 255));
                 let wrap = [if clamp { Wrap::Clamp } else { Wrap::Repeat }; 2];
-                self.textures.push(Texture { name: clean(name), width, height, rgba, wrap });
+                self.textures.push(Texture {
+                    name: clean(name),
+                    width,
+                    height,
+                    rgba,
+                    wrap,
+                });
                 Some(TextureId::from(self.textures.len() - 1))
             }
             Err(why) => {
-                let what = format!("picture cannot be read, only the factor counts: {}", clean(&why));
-                assembly.warn("", what, 1);
+                let what = format!(
+                    "picture cannot be read, only the factor counts: {}",
+                    clean(&why)
+                );
+                assembly.warn(&clean(name), what, 1);
                 None
             }
         };
@@ -293,7 +320,9 @@ impl<'r> Library<'r> {
     /// The finish of a material.
     pub(super) fn finish(&mut self, material: usize) -> Finish {
         let m = &self.materials[material];
-        let holes = m.map.is_some_and(|map| self.see_through[map.texture.index()]);
+        let holes = m
+            .map
+            .is_some_and(|map| self.see_through[map.texture.index()]);
         let default = if m.map.is_some() { 1.0 } else { 0.5 };
         let emission = (m.luminance.max_band() > 0.0).then(|| Emission {
             luminance: m.luminance,
@@ -301,13 +330,21 @@ impl<'r> Library<'r> {
             group: GroupId::NONE,
         });
         Finish {
-            name: if m.name.is_empty() { format!("material {material}") } else { m.name.clone() },
+            name: if m.name.is_empty() {
+                format!("material {material}")
+            } else {
+                m.name.clone()
+            },
             reflectance: m.diffuse.unwrap_or(Rgb::splat(default)),
             texture: m.map.map(|map| map.texture),
             emission,
             back_reflects: true,
             back_emits: false,
-            alpha: if holes || m.coverage < 1.0 { Alpha::Blend } else { Alpha::Opaque },
+            alpha: if holes || m.coverage < 1.0 {
+                Alpha::Blend
+            } else {
+                Alpha::Opaque
+            },
             coverage: m.coverage,
             transparent: m.glass,
         }

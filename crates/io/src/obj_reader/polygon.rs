@@ -51,7 +51,9 @@ pub(super) fn ears(ring: &[Vec3]) -> Vec<[usize; 3]> {
     let mut left = vec![true; n];
     // A corner that is convex stays so when its neighbours are cut, so only corners that were
     // not can lie in an ear.
-    let hollow: Vec<usize> = (0..n).filter(|&k| !(turn(before[k], k, next[k]) > 0.0)).collect();
+    let hollow: Vec<usize> = (0..n)
+        .filter(|&k| !(turn(before[k], k, next[k]) > 0.0))
+        .collect();
     let is_ear = |b: usize, before: &[usize], next: &[usize], left: &[bool]| {
         let (a, c) = (before[b], next[b]);
         turn(a, b, c) > 0.0

@@ -6,7 +6,9 @@ use std::borrow::Cow;
 pub(super) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     let sixteen = |bytes: &[u8], word: fn([u8; 2]) -> u16| {
         let words = bytes.chunks_exact(2).map(|b| word([b[0], b[1]]));
-        char::decode_utf16(words).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
+        char::decode_utf16(words)
+            .map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER))
+            .collect()
     };
     match bytes {
         [0xff, 0xfe, rest @ ..] => Cow::Owned(sixteen(rest, u16::from_le_bytes)),
@@ -25,7 +27,10 @@ pub(super) struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     pub(super) fn new(text: &'a str) -> Self {
-        Lines { rest: text, number: 0 }
+        Lines {
+            rest: text,
+            number: 0,
+        }
     }
 
     fn line(&mut self) -> Option<&'a str> {

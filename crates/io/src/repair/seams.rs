@@ -30,7 +30,8 @@ pub(super) fn count(scene: &Scene, file: &str, tolerance: f64, warnings: &mut Wa
             _ => {}
         }
     }
-    let what = "edges between faces of opposite winding: one of the two is probably the wrong way round";
+    let what =
+        "edges between faces of opposite winding: one of the two is probably the wrong way round";
     warnings.add(file, what, turned);
     if scene.triangles.len() <= MOST_TRIANGLES {
         let what = "T-vertices, inside the edge of another face, were left";
@@ -52,14 +53,16 @@ fn t_vertices(scene: &Scene, open: &[(u32, u32)], tolerance: f64) -> usize {
     if vertices.len() < 3 {
         return 0;
     }
-    let whole: f64 = open.iter().map(|e| place(e.0).distance(place(e.1)) as f64).sum();
+    let whole: f64 = open
+        .iter()
+        .map(|e| place(e.0).distance(place(e.1)) as f64)
+        .sum();
     let cell = (whole / open.len() as f64) as f32;
     if !(cell.is_normal() && tolerance > 0.0) {
         return 0;
     }
     let key = |p: Vec3| (p / cell).floor().to_array().map(|v| v as i32);
-    let mut sorted: Vec<([i32; 3], u32)> =
-        vertices.iter().map(|&v| (key(place(v)), v)).collect();
+    let mut sorted: Vec<([i32; 3], u32)> = vertices.iter().map(|&v| (key(place(v)), v)).collect();
     sorted.par_sort_unstable();
     let slack = (8.0 * tolerance) as f32;
     const MOST_STEPS: usize = 4096;
@@ -93,7 +96,10 @@ fn t_vertices(scene: &Scene, open: &[(u32, u32)], tolerance: f64) -> usize {
                             let w = place(v) - p;
                             let at = w.dot(along) / length;
                             let off = w - along * (at / length);
-                            if at > 4.0 * slack && at < length - 4.0 * slack && off.length() <= slack {
+                            if at > 4.0 * slack
+                                && at < length - 4.0 * slack
+                                && off.length() <= slack
+                            {
                                 found.push(v);
                             }
                         }

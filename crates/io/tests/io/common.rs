@@ -45,7 +45,9 @@ pub fn glb(json: &Value, bin: &[u8]) -> Vec<u8> {
 pub fn png(width: u32, height: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Vec<u8> {
     let image = image::RgbaImage::from_fn(width, height, |x, y| image::Rgba(texel(x, y)));
     let mut out = std::io::Cursor::new(Vec::new());
-    image.write_to(&mut out, image::ImageFormat::Png).expect("writing into memory");
+    image
+        .write_to(&mut out, image::ImageFormat::Png)
+        .expect("writing into memory");
     out.into_inner()
 }
 
@@ -147,9 +149,14 @@ l 1 2
 ";
 
 /// The materials of [`SMALL_OBJ`].
-pub const SMALL_MTL: &str = "newmtl wood\nKd 0.5 0.4 0.3\nnewmtl light\nKd .8 .8 .8\nKe 1000 900 800\n";
+pub const SMALL_MTL: &str =
+    "newmtl wood\nKd 0.5 0.4 0.3\nnewmtl light\nKd .8 .8 .8\nKe 1000 900 800\n";
 
 /// A resolver that knows `small.mtl`.
 pub fn with_mtl(name: &str, _: u64) -> Result<Vec<u8>, String> {
-    if name == "small.mtl" { Ok(SMALL_MTL.into()) } else { Err(format!("no file {name}")) }
+    if name == "small.mtl" {
+        Ok(SMALL_MTL.into())
+    } else {
+        Err(format!("no file {name}"))
+    }
 }

@@ -1,0 +1,6 @@
+//! The readers from outside: what they read, what they refuse, what they stand.
+
+mod common;
+mod features;
+mod hostile;
+mod scenes;
