@@ -37,7 +37,8 @@ pub fn outer_to_inner_cylinder(inner_radius: f64, outer_radius: f64, length: f64
     let a = r * r + h * h - 1.0;
     let b = h * h - r * r + 1.0;
     let root = ((a + 2.0).powi(2) - 4.0 * r * r).max(0.0).sqrt();
-    let bracket = root * (b / (r * a)).clamp(-1.0, 1.0).acos() + b * (1.0 / r).asin() - 0.5 * PI * a;
+    let bracket =
+        root * (b / (r * a)).clamp(-1.0, 1.0).acos() + b * (1.0 / r).asin() - 0.5 * PI * a;
     (1.0 - ((b / a).clamp(-1.0, 1.0).acos() - bracket / (2.0 * h)) / PI) / r
 }
 
@@ -119,13 +120,18 @@ mod tests {
         let number = |v: &Value| v.as_f64().expect("a number");
         let radius = |s: &Value| number(&s["radius"]);
         let height = |s: &Value| testing::vector(&s["axis"]).length();
-        let between = |a: &Value, b: &Value| (testing::vector(&a["center"]) - testing::vector(&b["center"])).length();
+        let between = |a: &Value, b: &Value| {
+            (testing::vector(&a["center"]) - testing::vector(&b["center"])).length()
+        };
         Some(match (from["shape"].as_str()?, to["shape"].as_str()?) {
             ("disc", "disc") => coaxial_discs(radius(from), radius(to), between(from, to)),
             ("disc", "cylinder") => cylinder_end_to_side(radius(to), height(to)),
             ("cylinder", "disc") => cylinder_side_to_end(radius(from), height(from)),
             ("cylinder", "cylinder") => {
-                let inner = case["scene"]["surfaces"].as_array()?.iter().find(|s| s["side"] == "out");
+                let inner = case["scene"]["surfaces"]
+                    .as_array()?
+                    .iter()
+                    .find(|s| s["side"] == "out");
                 match inner {
                     None => cylinder_side_to_side(radius(from), height(from)),
                     Some(inner) => {
@@ -142,7 +148,9 @@ mod tests {
                 }
             }
             ("sphere", "disc") => sphere_to_disc(radius(to), between(from, to)),
-            ("sphere", "polygon") => sphere_to_polygon(testing::vector(&from["center"]), &testing::polygon(to)),
+            ("sphere", "polygon") => {
+                sphere_to_polygon(testing::vector(&from["center"]), &testing::polygon(to))
+            }
             _ => return None,
         })
     }
@@ -150,21 +158,36 @@ mod tests {
     #[test]
     fn reference_cases() {
         // 1e-6 relative as the file asks of analytic methods, plus its uncertainty.
-        let Some(cases) = testing::cases("form_factors.json") else { return };
+        let Some(cases) = testing::cases("form_factors.json") else {
+            return;
+        };
         let (mut count, mut worst) = (0, (0.0_f64, String::new()));
         for case in &cases {
             for query in case["queries"].as_array().expect("queries") {
-                let (from, to) = (testing::surface(case, &query["from"]), testing::surface(case, &query["to"]));
-                let Some(got) = closed_form(case, from, to) else { continue };
+                let (from, to) = (
+                    testing::surface(case, &query["from"]),
+                    testing::surface(case, &query["to"]),
+                );
+                let Some(got) = closed_form(case, from, to) else {
+                    continue;
+                };
                 let (want, unc) = testing::expected(query);
-                assert!((got - want).abs() <= 1e-6 * want + unc, "{} {}: {got} for {want}", case["id"], query["id"]);
+                assert!(
+                    (got - want).abs() <= 1e-6 * want + unc,
+                    "{} {}: {got} for {want}",
+                    case["id"],
+                    query["id"]
+                );
                 if (got / want - 1.0).abs() > worst.0 {
                     worst = ((got / want - 1.0).abs(), case["id"].to_string());
                 }
                 count += 1;
             }
         }
-        eprintln!("{count} closed forms, worst relative error {:.1e} in {}", worst.0, worst.1);
+        eprintln!(
+            "{count} closed forms, worst relative error {:.1e} in {}",
+            worst.0, worst.1
+        );
         assert!(count >= 38, "{count}");
     }
 
@@ -180,12 +203,23 @@ mod tests {
     fn solid_angle_of_a_cube_face_is_a_sixth() {
         // From the centre, and from a far point the area over the square of the distance.
         let square = |z: f64| {
-            Polygon::new([(-1., -1.), (-1., 1.), (1., 1.), (1., -1.)].map(|(x, y)| DVec3::new(x, y, z)).to_vec())
+            Polygon::new(
+                [(-1., -1.), (-1., 1.), (1., 1.), (1., -1.)]
+                    .map(|(x, y)| DVec3::new(x, y, z))
+                    .to_vec(),
+            )
         };
         assert!((solid_angle(DVec3::ZERO, &square(1.0)) - 4.0 * PI / 6.0).abs() < 1e-14);
         assert!((solid_angle(DVec3::ZERO, &square(1e5)) * 1e10 / 4.0 - 1.0).abs() < 1e-9);
-        assert_eq!(solid_angle(DVec3::Z * 2.0, &square(1.0)), 0.0, "from behind");
-        assert!((inside_sphere_to_zone(1.0, 1.0) - 0.5).abs() < 1e-15, "half a sphere");
+        assert_eq!(
+            solid_angle(DVec3::Z * 2.0, &square(1.0)),
+            0.0,
+            "from behind"
+        );
+        assert!(
+            (inside_sphere_to_zone(1.0, 1.0) - 0.5).abs() < 1e-15,
+            "half a sphere"
+        );
     }
 
     #[test]

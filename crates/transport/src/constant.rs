@@ -53,7 +53,12 @@ impl FormFactors for Constant {
     fn row(&self, _element: ElementId, row: &mut FactorRow) {
         let whole: f64 = self.areas.iter().sum();
         row.entries.clear();
-        row.entries.extend(self.areas.iter().enumerate().map(|(j, a)| (ElementId::from(j), a / whole)));
+        row.entries.extend(
+            self.areas
+                .iter()
+                .enumerate()
+                .map(|(j, a)| (ElementId::from(j), a / whole)),
+        );
         row.outside = 0.0;
     }
 }
@@ -63,12 +68,21 @@ impl LocalLines for Constant {
         self.areas.len()
     }
 
-    fn cast(&self, element: ElementId, samples: Range<u32>, seed: u32, arrivals: &mut Vec<Arrival>) {
+    fn cast(
+        &self,
+        element: ElementId,
+        samples: Range<u32>,
+        seed: u32,
+        arrivals: &mut Vec<Arrival>,
+    ) {
         let sequence = Sequence::new(seed, element.0);
         arrivals.clear();
         arrivals.extend(samples.map(|k| {
             let u = sequence.point1(k);
-            let j = self.cumulative.partition_point(|&c| c <= u).min(self.areas.len() - 1);
+            let j = self
+                .cumulative
+                .partition_point(|&c| c <= u)
+                .min(self.areas.len() - 1);
             Arrival::on(ElementId::from(j))
         }));
     }
@@ -101,7 +115,10 @@ mod tests {
         for lines in [&sphere as &dyn LocalLines, &through_rows] {
             lines.cast(ElementId(1), 4096..8192, 5, &mut arrivals);
             for (j, share) in [0.125, 0.25, 0.625].iter().enumerate() {
-                let n = arrivals.iter().filter(|a| a.element() == Some(ElementId::from(j))).count();
+                let n = arrivals
+                    .iter()
+                    .filter(|a| a.element() == Some(ElementId::from(j)))
+                    .count();
                 assert!((n as f64 - 4096.0 * share).abs() <= 2.0);
             }
         }

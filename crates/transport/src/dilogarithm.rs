@@ -28,7 +28,10 @@ impl Complex {
     }
 
     pub fn times(self, o: Complex) -> Complex {
-        Complex::new(self.re * o.re - self.im * o.im, self.re * o.im + self.im * o.re)
+        Complex::new(
+            self.re * o.re - self.im * o.im,
+            self.re * o.im + self.im * o.re,
+        )
     }
 
     pub fn scaled(self, s: f64) -> Complex {
@@ -82,7 +85,9 @@ pub(crate) fn dilogarithm(z: Complex) -> Complex {
             return Complex::new(PI * PI / 6.0, 0.0);
         }
         let product = z.ln().times(rest.ln());
-        return Complex::new(PI * PI / 6.0, 0.0).minus(product).minus(series(rest));
+        return Complex::new(PI * PI / 6.0, 0.0)
+            .minus(product)
+            .minus(series(rest));
     }
     series(z)
 }
@@ -115,14 +120,24 @@ mod tests {
             ((0.0, 1.0), (-PI * PI / 48.0, 0.915_965_594_177_219)),
         ] {
             let got = dilogarithm(Complex::new(z.0, z.1));
-            assert!((got.re - want.0).abs() < 1e-15 && (got.im - want.1).abs() < 1e-15, "{z:?} {got:?}");
+            assert!(
+                (got.re - want.0).abs() < 1e-15 && (got.im - want.1).abs() < 1e-15,
+                "{z:?} {got:?}"
+            );
         }
     }
 
     #[test]
     fn agrees_with_the_defining_integral() {
         // Li2(z) = -integral over 0..1 of ln(1 - z t) / t: 1e-11 by the adaptive rule.
-        for (re, im) in [(0.3, 0.8), (-2.0, 0.5), (4.0, -3.0), (0.9, 0.05), (0.6, -0.7), (-0.2, 30.0)] {
+        for (re, im) in [
+            (0.3, 0.8),
+            (-2.0, 0.5),
+            (4.0, -3.0),
+            (0.9, 0.05),
+            (0.6, -0.7),
+            (-0.2, 30.0),
+        ] {
             let z = Complex::new(re, im);
             let part = |imaginary: bool| {
                 crate::quadrature::adaptive(0.0, 1.0, 1e-12, &mut |t| {

@@ -23,6 +23,8 @@ pub struct Hemicube<'a> {
     front: &'a Front,
     resolution: usize,
     centres: usize,
+    /// Nearer than this is the element's own surface or rounding, metres.
+    near: f32,
     /// Worth of the pixels of the top face, row by row.
     top: Vec<f64>,
     /// Worth of the pixels of a side face, from the horizon up.
@@ -35,7 +37,15 @@ impl<'a> Hemicube<'a> {
     pub fn new(scene: &'a Scene, front: &'a Front, resolution: usize) -> Self {
         let resolution = resolution.max(2).next_multiple_of(2);
         let [top, side] = delta_factors(resolution);
-        Hemicube { scene, front, resolution, centres: 1, top, side }
+        Hemicube {
+            scene,
+            front,
+            resolution,
+            centres: 1,
+            near: 1e-6 * scene.diagonal(),
+            top,
+            side,
+        }
     }
 
     /// With `n` x `n` hemicubes spread over each element: nearer to the factor of the area.
@@ -67,8 +77,24 @@ impl<'a> Hemicube<'a> {
     /// Top, then the four sides.
     fn faces(&self, normal: Vec3) -> [View; 5] {
         let [a, b] = crate::sampling::frame(normal);
-        let side = |forward: Vec3| View { forward, right: normal.cross(forward), up: normal, half: true };
-        [View { forward: normal, right: a, up: b, half: false }, side(a), side(b), side(-a), side(-b)]
+        let side = |forward: Vec3| View {
+            forward,
+            right: normal.cross(forward),
+            up: normal,
+            half: true,
+        };
+        [
+            View {
+                forward: normal,
+                right: a,
+                up: b,
+                half: false,
+            },
+            side(a),
+            side(b),
+            side(-a),
+            side(-b),
+        ]
     }
 
     /// Draws all triangles onto one face.
@@ -78,9 +104,7 @@ impl<'a> Hemicube<'a> {
         buffer.depth.resize(n * n, 0.0);
         buffer.triangle.clear();
         buffer.triangle.resize(n * n, u32::MAX);
-        let (scene_low, scene_high) = self.scene.bounds();
-        // Nearer than this is the element's own surface or rounding.
-        let near = 1e-6 * (scene_high - scene_low).length();
+        let near = self.near;
         for t in 0..self.scene.triangles.len() {
             if self.scene.finish_of(t).transparent {
                 continue;
@@ -106,9 +130,15 @@ impl<'a> Hemicube<'a> {
             + view.right * ((x as f32 + 0.5) / n * 2.0 - 1.0)
             + view.up * ((y as f32 + 0.5) / n * 2.0 - 1.0);
         let [a, b, c] = self.scene.corners(t as usize);
-        let side = if (b - a).cross(c - a).dot(along) < 0.0 { Side::Front } else { Side::Back };
+        let side = if (b - a).cross(c - a).dot(along) < 0.0 {
+            Side::Front
+        } else {
+            Side::Back
+        };
         let point = eye + along / buffer.depth[k];
-        self.front.element_at(t as usize, side, point).map_or(Seen::Black, Seen::On)
+        self.front
+            .element_at(t as usize, side, point)
+            .map_or(Seen::Black, Seen::On)
     }
 
     /// Adds what is seen from one centre, each pixel's worth times `share`.
@@ -116,11 +146,15 @@ impl<'a> Hemicube<'a> {
         BUFFER.with_borrow_mut(|buffer| {
             for view in self.faces(normal) {
                 self.draw(eye, normal, &view, buffer);
-                let first = if view.half { self.resolution * self.resolution / 2 } else { 0 };
+                let first = if view.half {
+                    self.resolution * self.resolution / 2
+                } else {
+                    0
+                };
                 let worth = if view.half { &self.side } else { &self.top };
                 for (k, w) in worth.iter().enumerate() {
                     match self.seen(eye, &view, buffer, first + k) {
-                        Seen::On(e) => shares.on.push((e, w * share)),
+                        Seen::On(e) => shares.on[e.index()] += w * share,
                         Seen::Outside => shares.outside += w * share,
                         Seen::Black => {}
                     }
@@ -134,9 +168,9 @@ thread_local! {
     static BUFFER: RefCell<Buffer> = RefCell::default();
 }
 
-#[derive(Default)]
 struct Shares {
-    on: Vec<(ElementId, f64)>,
+    /// One an element: pixels are far more than elements, as a rule.
+    on: Vec<f64>,
     outside: f64,
 }
 
@@ -165,7 +199,8 @@ struct View {
 impl View {
     fn draw(&self, corners: [Vec3; 3], triangle: u32, n: usize, near: f32, buffer: &mut Buffer) {
         // Face coordinates (x, y, depth); the pyramid is |x| <= depth, |y| <= depth.
-        let local = corners.map(|c| Vec3::new(c.dot(self.right), c.dot(self.up), c.dot(self.forward)));
+        let local =
+            corners.map(|c| Vec3::new(c.dot(self.right), c.dot(self.up), c.dot(self.forward)));
         let mut polygon = Outline::new(local);
         polygon.clip(|v| v.z - near);
         polygon.clip(|v| v.z - v.x);
@@ -188,16 +223,27 @@ impl View {
         }
         let plane = (plane / d).as_vec3();
         let scale = n as f32;
-        let to_pixel = |v: Vec3| [(v.x / v.z * 0.5 + 0.5) * scale, (v.y / v.z * 0.5 + 0.5) * scale];
+        let to_pixel = |v: Vec3| {
+            [
+                (v.x / v.z * 0.5 + 0.5) * scale,
+                (v.y / v.z * 0.5 + 0.5) * scale,
+            ]
+        };
         let mut points = [[0.0_f32; 2]; MAX_CORNERS];
         for k in 0..polygon.count {
             points[k] = to_pixel(polygon.corners[k]);
         }
         let points = &points[..polygon.count];
         let low = points.iter().map(|p| p[1]).fold(f32::INFINITY, f32::min);
-        let high = points.iter().map(|p| p[1]).fold(f32::NEG_INFINITY, f32::max);
+        let high = points
+            .iter()
+            .map(|p| p[1])
+            .fold(f32::NEG_INFINITY, f32::max);
         // Pixels whose middle lies inside; a middle on an edge belongs to the right and upper.
-        let (first, last) = ((low - 0.5).ceil().max(0.0) as usize, ((high - 0.5).ceil().max(0.0) as usize).min(n));
+        let (first, last) = (
+            (low - 0.5).ceil().max(0.0) as usize,
+            ((high - 0.5).ceil().max(0.0) as usize).min(n),
+        );
         for row in first..last {
             let y = row as f32 + 0.5;
             let (mut left, mut right) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -257,7 +303,11 @@ impl Outline {
             }
             if (hp >= 0.0) != (hq >= 0.0) {
                 // From the lower end, so that a shared edge is cut at the same point.
-                let (a, b, ha, hb) = if hp < hq { (p, q, hp, hq) } else { (q, p, hq, hp) };
+                let (a, b, ha, hb) = if hp < hq {
+                    (p, q, hp, hq)
+                } else {
+                    (q, p, hq, hp)
+                };
                 self.push(a + (b - a) * (ha / (ha - hb)));
             }
         }
@@ -303,21 +353,24 @@ impl FormFactors for Hemicube<'_> {
     }
 
     fn row(&self, element: ElementId, row: &mut FactorRow) {
-        let mut shares = Shares::default();
+        let mut shares = Shares {
+            on: vec![0.0; self.front.len()],
+            outside: 0.0,
+        };
         let n = self.centres;
         let place = |k: usize| (k as f32 + 0.5) / n as f32;
         for j in 0..n {
             for i in 0..n {
-                let centre = self.front.point_on(self.scene, element, [place(i), place(j)]);
+                let centre = self
+                    .front
+                    .point_on(self.scene, element, [place(i), place(j)]);
                 self.add(centre, 1.0 / (n * n) as f64, &mut shares);
             }
         }
-        // Stable: the order of the sum is that of the pixels.
-        shares.on.sort_by_key(|s| s.0);
         row.entries.clear();
-        row.entries.extend(
-            shares.on.chunk_by(|a, b| a.0 == b.0).map(|run| (run[0].0, run.iter().map(|s| s.1).sum())),
-        );
+        let seen = shares.on.iter().enumerate().filter(|(_, f)| **f > 0.0);
+        row.entries
+            .extend(seen.map(|(e, f)| (ElementId::from(e), *f)));
         row.outside = shares.outside;
     }
 }
@@ -357,7 +410,11 @@ mod tests {
         assert_eq!(row.outside, 0.0);
         let r: f64 = 1.25_f64.sqrt();
         let want = 4.0 / PI * (0.5 / r) * (0.5 / r).atan();
-        assert!((row.entries[0].1 - want).abs() < 5e-3, "{} for {want}", row.entries[0].1);
+        assert!(
+            (row.entries[0].1 - want).abs() < 5e-3,
+            "{} for {want}",
+            row.entries[0].1
+        );
     }
 
     #[test]
@@ -378,8 +435,13 @@ mod tests {
             Hemicube::new(&scene, &front, n).row(ElementId(0), &mut row);
             let error = |e: usize| {
                 let polygon = &front.polygons(&scene, ElementId::from(e))[0];
-                let want = crate::lambert::point_to_polygon(eye.as_dvec3(), normal.as_dvec3(), polygon);
-                let got = row.entries.iter().find(|x| x.0.index() == e).map_or(0.0, |x| x.1);
+                let want =
+                    crate::lambert::point_to_polygon(eye.as_dvec3(), normal.as_dvec3(), polygon);
+                let got = row
+                    .entries
+                    .iter()
+                    .find(|x| x.0.index() == e)
+                    .map_or(0.0, |x| x.1);
                 (got - want).abs() / want
             };
             (1..front.len()).map(error).sum::<f64>() / (front.len() - 1) as f64
@@ -409,7 +471,9 @@ mod tests {
         // gives 0.2394 and 0.1902; the midpoint rule over 8 x 8 comes within 1 %.
         let (scene, front) = cube(1);
         let mut row = FactorRow::default();
-        Hemicube::new(&scene, &front, 100).with_centres(8).row(ElementId(0), &mut row);
+        Hemicube::new(&scene, &front, 100)
+            .with_centres(8)
+            .row(ElementId(0), &mut row);
         for (_, f) in &row.entries {
             assert!((f - 0.2).abs() < 2e-3, "{f}");
         }

@@ -77,7 +77,13 @@ fn edge(a: DVec3, along: DVec3, normal: DVec3) -> f64 {
 /// integrated numerically (1e-12 absolute).
 ///
 /// Source: [Naraghi88].
-pub fn point_to_disc(point: DVec3, normal: DVec3, centre: DVec3, disc_normal: DVec3, radius: f64) -> f64 {
+pub fn point_to_disc(
+    point: DVec3,
+    normal: DVec3,
+    centre: DVec3,
+    disc_normal: DVec3,
+    radius: f64,
+) -> f64 {
     let away = point - centre;
     let height = away.dot(disc_normal);
     if height <= 0.0 || radius <= 0.0 {
@@ -98,7 +104,11 @@ pub fn point_to_disc(point: DVec3, normal: DVec3, centre: DVec3, disc_normal: DV
         let root = z.max(0.0).sqrt();
         // Factors of a receiver that faces the disc's plane, and of one that faces its axis.
         let along = 0.5 * (1.0 - (a * a + h * h - r * r) / root);
-        let across = if a > 0.0 { h / (2.0 * a) * ((h * h + a * a + r * r) / root - 1.0) } else { 0.0 };
+        let across = if a > 0.0 {
+            h / (2.0 * a) * ((h * h + a * a + r * r) / root - 1.0)
+        } else {
+            0.0
+        };
         let towards = if a > 0.0 { -lateral / a } else { DVec3::ZERO };
         return (-disc_normal.dot(normal) * along + towards.dot(normal) * across).clamp(0.0, 1.0);
     }
@@ -142,7 +152,8 @@ pub fn point_to_sphere(point: DVec3, normal: DVec3, centre: DVec3, radius: f64) 
     let x = (1.0 / share - 1.0).sqrt();
     let y = (-x * cosine / sine).clamp(-1.0, 1.0);
     let root = (1.0 - y * y).sqrt();
-    (share / PI * (cosine * y.acos() - x * sine * root) + (sine * root / x).atan() / PI).clamp(0.0, 1.0)
+    (share / PI * (cosine * y.acos() - x * sine * root) + (sine * root / x).atan() / PI)
+        .clamp(0.0, 1.0)
 }
 
 #[cfg(test)]
@@ -154,39 +165,65 @@ mod tests {
     fn square(low: f64, high: f64, z: f64) -> Polygon {
         // Facing down.
         let at = |x, y| DVec3::new(x, y, z);
-        Polygon::new(vec![at(low, low), at(low, high), at(high, high), at(high, low)])
+        Polygon::new(vec![
+            at(low, low),
+            at(low, high),
+            at(high, high),
+            at(high, low),
+        ])
     }
 
     #[test]
     fn reference_cases() {
         // Tolerance: 1e-6 relative as the file asks of analytic methods, plus its uncertainty.
-        let Some(cases) = testing::cases("point_factors.json") else { return };
+        let Some(cases) = testing::cases("point_factors.json") else {
+            return;
+        };
         let (mut worst, mut count, mut other) = (0.0_f64, 0, Vec::new());
         for case in &cases {
             for query in case["queries"].as_array().expect("queries") {
                 let to = testing::surface(case, &query["to"]);
-                let (p, n) = (testing::vector(&query["point"]), testing::vector(&query["normal"]));
+                let (p, n) = (
+                    testing::vector(&query["point"]),
+                    testing::vector(&query["normal"]),
+                );
                 let got = match to["shape"].as_str() {
                     Some("polygon") => point_to_polygon(p, n, &testing::polygon(to)),
                     Some("disc") => {
                         let radius = to["radius"].as_f64().expect("radius");
-                        point_to_disc(p, n, testing::vector(&to["center"]), testing::vector(&to["normal"]), radius)
+                        point_to_disc(
+                            p,
+                            n,
+                            testing::vector(&to["center"]),
+                            testing::vector(&to["normal"]),
+                            radius,
+                        )
                     }
-                    Some("sphere") => {
-                        point_to_sphere(p, n, testing::vector(&to["center"]), to["radius"].as_f64().expect("radius"))
-                    }
+                    Some("sphere") => point_to_sphere(
+                        p,
+                        n,
+                        testing::vector(&to["center"]),
+                        to["radius"].as_f64().expect("radius"),
+                    ),
                     shape => {
                         other.push(format!("{shape:?}"));
                         continue;
                     }
                 };
                 let (want, unc) = testing::expected(query);
-                assert!((got - want).abs() <= 1e-6 * want.abs() + unc, "{} {}: {got} for {want}", case["id"], query["id"]);
+                assert!(
+                    (got - want).abs() <= 1e-6 * want.abs() + unc,
+                    "{} {}: {got} for {want}",
+                    case["id"],
+                    query["id"]
+                );
                 worst = worst.max((got - want).abs() / want.abs().max(1e-300));
                 count += 1;
             }
         }
-        eprintln!("{count} point factors, worst relative error {worst:.1e}; other shapes: {other:?}");
+        eprintln!(
+            "{count} point factors, worst relative error {worst:.1e}; other shapes: {other:?}"
+        );
         assert!(count > 0);
     }
 
@@ -197,7 +234,9 @@ mod tests {
         // for one half, X = h / (w/2), Y = d / (w/2). Rounding only.
         let (half, h) = (1.0, 2.5);
         let wall = Polygon::new(
-            [(-half, h), (half, h), (half, 0.0), (-half, 0.0)].map(|(x, z)| DVec3::new(x, 0.0, z)).to_vec(),
+            [(-half, h), (half, h), (half, 0.0), (-half, 0.0)]
+                .map(|(x, z)| DVec3::new(x, 0.0, z))
+                .to_vec(),
         );
         for d in [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-9] {
             let root = ((h * h + d * d) / (half * half)).sqrt();
@@ -211,9 +250,19 @@ mod tests {
     #[test]
     fn behind_and_in_the_plane_is_exactly_zero() {
         let s = square(-1.0, 1.0, 1.0);
-        assert_eq!(point_to_polygon(DVec3::new(0.0, 0.0, 2.0), -DVec3::Z, &s), 0.0);
-        assert_eq!(point_to_polygon(DVec3::new(3.0, 0.0, 1.0), -DVec3::X, &s), 0.0);
-        assert_eq!(point_to_polygon(DVec3::ZERO, -DVec3::Z, &s), 0.0, "below the horizon");
+        assert_eq!(
+            point_to_polygon(DVec3::new(0.0, 0.0, 2.0), -DVec3::Z, &s),
+            0.0
+        );
+        assert_eq!(
+            point_to_polygon(DVec3::new(3.0, 0.0, 1.0), -DVec3::X, &s),
+            0.0
+        );
+        assert_eq!(
+            point_to_polygon(DVec3::ZERO, -DVec3::Z, &s),
+            0.0,
+            "below the horizon"
+        );
     }
 
     #[test]
@@ -225,7 +274,8 @@ mod tests {
             let v = normal.cross(u);
             let step = 2.0 * PI / n as f64;
             let r = radius * (step / step.sin()).sqrt();
-            let at = |k: usize| centre + (u * (k as f64 * step).cos() + v * (k as f64 * step).sin()) * r;
+            let at =
+                |k: usize| centre + (u * (k as f64 * step).cos() + v * (k as f64 * step).sin()) * r;
             Polygon::new((0..n).map(at).collect())
         };
         let s = Sequence::new(1, 1);

@@ -34,7 +34,13 @@ impl<'a> MonteCarloFactors<'a> {
     /// Rows from `count` lines an element (rounded up to a multiple of 8; 8 times a power of two
     /// is best spread).
     pub fn new(lines: &'a dyn LocalLines, count: u32, seed: u32) -> Self {
-        MonteCarloFactors { lines, count: count.clamp(BATCHES, u32::MAX - BATCHES).next_multiple_of(BATCHES), seed }
+        MonteCarloFactors {
+            lines,
+            count: count
+                .clamp(BATCHES, u32::MAX - BATCHES)
+                .next_multiple_of(BATCHES),
+            seed,
+        }
     }
 
     /// Replaces `row` by the factors from `element` and returns their standard errors.
@@ -44,13 +50,17 @@ impl<'a> MonteCarloFactors<'a> {
         let mut all: Vec<(u32, u32)> = Vec::with_capacity(self.count as usize);
         let mut arrivals = Vec::new();
         for batch in 0..BATCHES {
-            self.lines.cast(element, 0..each, hash([self.seed, batch]), &mut arrivals);
+            self.lines
+                .cast(element, 0..each, hash([self.seed, batch]), &mut arrivals);
             all.extend(arrivals.iter().map(|&a| (key(a), batch)));
         }
         all.sort_unstable();
         row.entries.clear();
         row.outside = 0.0;
-        let mut error = RowError { entries: Vec::new(), outside: 1.0 / self.count as f64 };
+        let mut error = RowError {
+            entries: Vec::new(),
+            outside: 1.0 / self.count as f64,
+        };
         for run in all.chunk_by(|a, b| a.0 == b.0) {
             let mut counts = [0.0_f64; BATCHES as usize];
             for &(_, batch) in run {
@@ -108,8 +118,13 @@ mod tests {
 
     fn factor(lines: &dyn LocalLines, count: u32, seed: u32, to: u32) -> (f64, f64) {
         let mut row = FactorRow::default();
-        let error = MonteCarloFactors::new(lines, count, seed).row_with_error(ElementId(0), &mut row);
-        let at = row.entries.iter().position(|e| e.0 == ElementId(to)).expect("it is seen");
+        let error =
+            MonteCarloFactors::new(lines, count, seed).row_with_error(ElementId(0), &mut row);
+        let at = row
+            .entries
+            .iter()
+            .position(|e| e.0 == ElementId(to))
+            .expect("it is seen");
         (row.entries[at].1, error.entries[at])
     }
 
@@ -120,15 +135,23 @@ mod tests {
         let (scene, front) = cube(1);
         let caster = BruteForce::new(&scene);
         let lines = FrontLines::new(&scene, &front, &caster);
-        let values: Vec<f64> = (0..100).map(|seed| factor(&lines, 256, seed, 1).0).collect();
+        let values: Vec<f64> = (0..100)
+            .map(|seed| factor(&lines, 256, seed, 1).0)
+            .collect();
         let mean = values.iter().sum::<f64>() / 100.0;
         let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 99.0;
         let sigma = (variance / 100.0).sqrt();
         assert!((mean - OPPOSITE).abs() < 3.0 * sigma, "{mean} +- {sigma}");
         // The error it reports is the error it has, to a factor of 1.5 on average over seeds.
-        let told = (0..100).map(|seed| factor(&lines, 256, seed, 1).1.powi(2)).sum::<f64>() / 100.0;
+        let told = (0..100)
+            .map(|seed| factor(&lines, 256, seed, 1).1.powi(2))
+            .sum::<f64>()
+            / 100.0;
         let ratio = (told / variance).sqrt();
-        assert!((0.66..1.5).contains(&ratio), "told over true error: {ratio}");
+        assert!(
+            (0.66..1.5).contains(&ratio),
+            "told over true error: {ratio}"
+        );
     }
 
     #[test]
@@ -139,7 +162,9 @@ mod tests {
         let caster = BruteForce::new(&scene);
         let lines = FrontLines::new(&scene, &front, &caster);
         let rms = |count| {
-            let sum: f64 = (0..32).map(|seed| (factor(&lines, count, seed, 1).0 - OPPOSITE).powi(2)).sum();
+            let sum: f64 = (0..32)
+                .map(|seed| (factor(&lines, count, seed, 1).0 - OPPOSITE).powi(2))
+                .sum();
             (sum / 32.0).sqrt()
         };
         let errors = [64, 512, 4096].map(rms);

@@ -43,10 +43,16 @@ pub fn factor_past(from: &Polygon, to: &Polygon, blockers: &[Polygon], relative:
         return Estimate::default();
     };
     let free = exchange_area(&sender, &receiver, 0.01 * relative.clamp(1e-9, 1.0));
-    let near: Vec<Blocker> = blockers.iter().filter_map(|b| Blocker::new(b, &sender, &receiver)).collect();
+    let near: Vec<Blocker> = blockers
+        .iter()
+        .filter_map(|b| Blocker::new(b, &sender, &receiver))
+        .collect();
     let area = from.area();
     if near.is_empty() {
-        return Estimate { factor: (free / area).min(1.0), error: 1e-9 * free / area };
+        return Estimate {
+            factor: (free / area).min(1.0),
+            error: 1e-9 * free / area,
+        };
     }
     let normal = sender.normal();
     let mut pieces = Pieces::default();
@@ -54,7 +60,11 @@ pub fn factor_past(from: &Polygon, to: &Polygon, blockers: &[Polygon], relative:
     let mut queue = BinaryHeap::new();
     let (mut sum, mut error, mut spent) = (0.0, 0.0, 0);
     let mut next = 0;
-    let mut add = |cell: Polygon, sum: &mut f64, error: &mut f64, spent: &mut usize, queue: &mut BinaryHeap<Cell>| {
+    let mut add = |cell: Polygon,
+                   sum: &mut f64,
+                   error: &mut f64,
+                   spent: &mut usize,
+                   queue: &mut BinaryHeap<Cell>| {
         let (mut low, mut high) = (0.0, 0.0);
         over_polygon(&cell, 3, |p, w| {
             low += w * at(p);
@@ -67,7 +77,12 @@ pub fn factor_past(from: &Polygon, to: &Polygon, blockers: &[Polygon], relative:
         *sum += high;
         *error += (high - low).abs();
         next += 1;
-        queue.push(Cell { error: (high - low).abs(), value: high, order: next, polygon: cell });
+        queue.push(Cell {
+            error: (high - low).abs(),
+            value: high,
+            order: next,
+            polygon: cell,
+        });
     };
     for cell in start(&sender) {
         add(cell, &mut sum, &mut error, &mut spent, &mut queue);
@@ -84,8 +99,13 @@ pub fn factor_past(from: &Polygon, to: &Polygon, blockers: &[Polygon], relative:
     // Sum again in a fixed order: adding and taking away leaves rounding behind.
     let mut cells = queue.into_vec();
     cells.sort_unstable_by_key(|c| c.order);
-    let (sum, error) = cells.iter().fold((0.0, 0.0), |(s, e), c| (s + c.value, e + c.error));
-    Estimate { factor: (sum.min(free) / area).clamp(0.0, 1.0), error: error / area }
+    let (sum, error) = cells
+        .iter()
+        .fold((0.0, 0.0), |(s, e), c| (s + c.value, e + c.error));
+    Estimate {
+        factor: (sum.min(free) / area).clamp(0.0, 1.0),
+        error: error / area,
+    }
 }
 
 /// How `factor_by_rays` spends its segments.
@@ -101,7 +121,11 @@ pub struct RaySettings {
 
 impl Default for RaySettings {
     fn default() -> Self {
-        RaySettings { relative: 1e-3, max_rays: 1 << 18, seed: 0 }
+        RaySettings {
+            relative: 1e-3,
+            max_rays: 1 << 18,
+            seed: 0,
+        }
     }
 }
 
@@ -111,15 +135,25 @@ const BATCHES: usize = 8;
 /// Fraction of the flux leaving `from` that reaches `to` past whatever `caster` holds.
 ///
 /// Where all segments agree the error is the share that one of them stands for, not zero.
-pub fn factor_by_rays(from: &Polygon, to: &Polygon, caster: &dyn RayCaster, settings: &RaySettings) -> Estimate {
+pub fn factor_by_rays(
+    from: &Polygon,
+    to: &Polygon,
+    caster: &dyn RayCaster,
+    settings: &RaySettings,
+) -> Estimate {
     let Some((sender, receiver)) = facing_parts(from, to) else {
         return Estimate::default();
     };
-    let free = exchange_area(&sender, &receiver, 1e-3 * settings.relative.clamp(1e-6, 1.0)) / from.area();
+    let free = exchange_area(
+        &sender,
+        &receiver,
+        1e-3 * settings.relative.clamp(1e-6, 1.0),
+    ) / from.area();
     let offset_m = caster.offset_m() as f64;
     let (np, nq) = (sender.normal(), receiver.normal());
-    let sequences: Vec<Sequence> =
-        (0..BATCHES).map(|b| Sequence::new(settings.seed, hash([0x0b57, b as u32]))).collect();
+    let sequences: Vec<Sequence> = (0..BATCHES)
+        .map(|b| Sequence::new(settings.seed, hash([0x0b57, b as u32])))
+        .collect();
     let (mut weight, mut visible) = ([0.0; BATCHES], [0.0; BATCHES]);
     let (mut done, mut target) = (0_u32, 8_u32);
     let (mut rays, mut owners, mut seen) = (Vec::new(), Vec::new(), Vec::new());
@@ -135,7 +169,12 @@ pub fn factor_by_rays(from: &Polygon, to: &Polygon, caster: &dyn RayCaster, sett
                 let origin = p + np * offset_m;
                 let direction = (q + nq * offset_m - origin).as_vec3();
                 if kernel > 0.0 {
-                    rays.push(Ray { origin: origin.as_vec3(), t_min: 0.0, direction, t_max: 1.0 });
+                    rays.push(Ray {
+                        origin: origin.as_vec3(),
+                        t_min: 0.0,
+                        direction,
+                        t_max: 1.0,
+                    });
                     owners.push((b, kernel));
                 }
             }
@@ -150,24 +189,35 @@ pub fn factor_by_rays(from: &Polygon, to: &Polygon, caster: &dyn RayCaster, sett
         done = target;
         let (all, open) = (weight.iter().sum::<f64>(), visible.iter().sum::<f64>());
         if all <= 0.0 {
-            return Estimate { factor: 0.0, error: free };
+            return Estimate {
+                factor: 0.0,
+                error: free,
+            };
         }
         let share = open / all;
         // Spread of the batches as a ratio estimate.
         let n = BATCHES as f64;
-        let spread: f64 = (0..BATCHES).map(|b| (visible[b] - share * weight[b]).powi(2)).sum();
-        let error = ((spread * n / (n - 1.0)).sqrt() / all).max(1.0 / (BATCHES as f64 * done as f64));
+        let spread: f64 = (0..BATCHES)
+            .map(|b| (visible[b] - share * weight[b]).powi(2))
+            .sum();
+        let error =
+            ((spread * n / (n - 1.0)).sqrt() / all).max(1.0 / (BATCHES as f64 * done as f64));
         if error <= settings.relative || done as usize * BATCHES * 2 > settings.max_rays as usize {
-            return Estimate { factor: free * share.min(1.0), error: free * error };
+            return Estimate {
+                factor: free * share.min(1.0),
+                error: free * error,
+            };
         }
         target = 2 * done;
     }
 }
 
 /// Uniform point of a convex polygon for uniform `(u, v)`.
-fn point_in(polygon: &Polygon, u: f64, v: f64) -> DVec3 {
+pub(crate) fn point_in(polygon: &Polygon, u: f64, v: f64) -> DVec3 {
     let c = &polygon.vertices;
-    if c.len() == 4 && (c[0] - c[1] + c[2] - c[3]).length_squared() <= 1e-20 * (c[2] - c[0]).length_squared() {
+    if c.len() == 4
+        && (c[0] - c[1] + c[2] - c[3]).length_squared() <= 1e-20 * (c[2] - c[0]).length_squared()
+    {
         return c[0] + (c[1] - c[0]) * u + (c[3] - c[0]) * v;
     }
     let twice = |k: usize| (c[k] - c[0]).cross(c[k + 1] - c[0]).length();
@@ -178,7 +228,9 @@ fn point_in(polygon: &Polygon, u: f64, v: f64) -> DVec3 {
         left -= twice(k);
         k += 1;
     }
-    let r = (left / twice(k).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0).sqrt();
+    let r = (left / twice(k).max(f64::MIN_POSITIVE))
+        .clamp(0.0, 1.0)
+        .sqrt();
     c[0] + (c[k] - c[0]) * (r * (1.0 - v)) + (c[k + 1] - c[0]) * (r * v)
 }
 
@@ -193,10 +245,17 @@ impl Blocker {
     fn new(polygon: &Polygon, sender: &Polygon, receiver: &Polygon) -> Option<Blocker> {
         let normal = polygon.normal();
         let heights = |of: &Polygon, normal: DVec3, origin: DVec3| {
-            let scale = of.vertices.iter().map(|v| (*v - origin).length()).fold(0.0, f64::max);
+            let scale = of
+                .vertices
+                .iter()
+                .map(|v| (*v - origin).length())
+                .fold(0.0, f64::max);
             let flat = 1e-9 * scale;
             let above = of.vertices.iter().any(|v| (*v - origin).dot(normal) > flat);
-            let below = of.vertices.iter().any(|v| (*v - origin).dot(normal) < -flat);
+            let below = of
+                .vertices
+                .iter()
+                .any(|v| (*v - origin).dot(normal) < -flat);
             (above, below)
         };
         let in_front = |of: &Polygon| heights(polygon, of.normal(), of.vertices[0]).0;
@@ -204,9 +263,15 @@ impl Blocker {
             return None;
         }
         // Both on one side of its plane: no line between them meets it.
-        let (s, r) = (heights(sender, normal, polygon.vertices[0]), heights(receiver, normal, polygon.vertices[0]));
+        let (s, r) = (
+            heights(sender, normal, polygon.vertices[0]),
+            heights(receiver, normal, polygon.vertices[0]),
+        );
         let apart = (s.0 && r.1) || (s.1 && r.0);
-        apart.then(|| Blocker { vertices: polygon.vertices.clone(), normal })
+        apart.then(|| Blocker {
+            vertices: polygon.vertices.clone(),
+            normal,
+        })
     }
 }
 
@@ -218,9 +283,17 @@ struct Pieces {
 }
 
 /// Configuration factor of what of `receiver` is seen from `point` past the blockers.
-fn visible_from(point: DVec3, normal: DVec3, receiver: &Polygon, blockers: &[Blocker], pieces: &mut Pieces) -> f64 {
+fn visible_from(
+    point: DVec3,
+    normal: DVec3,
+    receiver: &Polygon,
+    blockers: &[Blocker],
+    pieces: &mut Pieces,
+) -> f64 {
     pieces.now.clear();
-    pieces.now.push(receiver.vertices.iter().map(|v| *v - point).collect());
+    pieces
+        .now
+        .push(receiver.vertices.iter().map(|v| *v - point).collect());
     for blocker in blockers {
         // Corners seen from the point, in the sense that makes inward normals of the pyramid.
         let height = (point - blocker.vertices[0]).dot(blocker.normal);
@@ -235,7 +308,10 @@ fn visible_from(point: DVec3, normal: DVec3, receiver: &Polygon, blockers: &[Blo
             let plane = |v: DVec3| -(v + point - blocker.vertices[0]).dot(blocker.normal) * sense;
             let mut dark = split(piece, plane, &mut pieces.next);
             for k in 0..n {
-                let (a, b) = (blocker.vertices[k] - point, blocker.vertices[(k + 1) % n] - point);
+                let (a, b) = (
+                    blocker.vertices[k] - point,
+                    blocker.vertices[(k + 1) % n] - point,
+                );
                 // The front side runs clockwise around the line of sight.
                 let inward = b.cross(a) * sense;
                 dark = split(dark, |v| v.dot(inward), &mut pieces.next);
@@ -246,11 +322,19 @@ fn visible_from(point: DVec3, normal: DVec3, receiver: &Polygon, blockers: &[Blo
             return 0.0;
         }
     }
-    pieces.now.iter().map(|piece| above_horizon(DVec3::ZERO, normal, piece)).sum()
+    pieces
+        .now
+        .iter()
+        .map(|piece| above_horizon(DVec3::ZERO, normal, piece))
+        .sum()
 }
 
 /// Cuts a convex piece along `height = 0`: returns what is above, puts what is below into `rest`.
-fn split(piece: Vec<DVec3>, height: impl Fn(DVec3) -> f64, rest: &mut Vec<Vec<DVec3>>) -> Vec<DVec3> {
+fn split(
+    piece: Vec<DVec3>,
+    height: impl Fn(DVec3) -> f64,
+    rest: &mut Vec<Vec<DVec3>>,
+) -> Vec<DVec3> {
     if piece.is_empty() {
         return piece;
     }
@@ -309,31 +393,53 @@ impl PartialOrd for Cell {
 
 impl Ord for Cell {
     fn cmp(&self, other: &Self) -> Ordering {
-        self.error.total_cmp(&other.error).then(other.order.cmp(&self.order))
+        self.error
+            .total_cmp(&other.error)
+            .then(other.order.cmp(&self.order))
     }
 }
 
 /// Parallelograms stay whole, others become a fan of triangles.
 fn start(polygon: &Polygon) -> Vec<Polygon> {
     let v = &polygon.vertices;
-    if v.len() == 4 && (v[0] - v[1] + v[2] - v[3]).length_squared() <= 1e-24 * (v[2] - v[0]).length_squared() {
+    if v.len() == 4
+        && (v[0] - v[1] + v[2] - v[3]).length_squared() <= 1e-24 * (v[2] - v[0]).length_squared()
+    {
         return vec![polygon.clone()];
     }
-    (1..v.len() - 1).map(|k| Polygon::new(vec![v[0], v[k], v[k + 1]])).collect()
+    (1..v.len() - 1)
+        .map(|k| Polygon::new(vec![v[0], v[k], v[k + 1]]))
+        .collect()
 }
 
 /// Four equal parts of a parallelogram or a triangle.
-fn quarters(polygon: &Polygon) -> [Polygon; 4] {
+pub(crate) fn quarters(polygon: &Polygon) -> [Polygon; 4] {
     let v = &polygon.vertices;
     let middle = |a: DVec3, b: DVec3| 0.5 * (a + b);
     let part = |corners: &[DVec3]| Polygon::new(corners.to_vec());
     if let &[a, b, c, d] = v.as_slice() {
-        let (ab, bc, cd, da, m) = (middle(a, b), middle(b, c), middle(c, d), middle(d, a), middle(a, c));
-        [part(&[a, ab, m, da]), part(&[ab, b, bc, m]), part(&[m, bc, c, cd]), part(&[da, m, cd, d])]
+        let (ab, bc, cd, da, m) = (
+            middle(a, b),
+            middle(b, c),
+            middle(c, d),
+            middle(d, a),
+            middle(a, c),
+        );
+        [
+            part(&[a, ab, m, da]),
+            part(&[ab, b, bc, m]),
+            part(&[m, bc, c, cd]),
+            part(&[da, m, cd, d]),
+        ]
     } else {
         let (a, b, c) = (v[0], v[1], v[2]);
         let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
-        [part(&[a, ab, ca]), part(&[ab, b, bc]), part(&[ca, bc, c]), part(&[bc, ca, ab])]
+        [
+            part(&[a, ab, ca]),
+            part(&[ab, b, bc]),
+            part(&[ca, bc, c]),
+            part(&[bc, ca, ab]),
+        ]
     }
 }
 
@@ -352,13 +458,27 @@ mod tests {
     fn occluded() -> Vec<(String, Polygon, Polygon, Vec<Polygon>, f64)> {
         let cases = testing::cases("form_factors.json").unwrap_or_default();
         let mut out = Vec::new();
-        for case in cases.iter().filter(|c| c["id"].as_str().is_some_and(|s| s.starts_with("ff-occluded"))) {
+        for case in cases.iter().filter(|c| {
+            c["id"]
+                .as_str()
+                .is_some_and(|s| s.starts_with("ff-occluded"))
+        }) {
             for query in case["queries"].as_array().expect("queries") {
                 let part = |id| testing::polygon(testing::surface(case, id));
                 let all = case["scene"]["surfaces"].as_array().expect("surfaces");
-                let blockers = all.iter().filter(|s| s["two_sided"] == true).map(testing::polygon).collect();
+                let blockers = all
+                    .iter()
+                    .filter(|s| s["two_sided"] == true)
+                    .map(testing::polygon)
+                    .collect();
                 let (want, _) = testing::expected(query);
-                out.push((case["id"].to_string(), part(&query["from"]), part(&query["to"]), blockers, want));
+                out.push((
+                    case["id"].to_string(),
+                    part(&query["from"]),
+                    part(&query["to"]),
+                    blockers,
+                    want,
+                ));
             }
         }
         out
@@ -391,9 +511,20 @@ mod tests {
                 })
                 .collect();
             let (scene, _) = parallelograms(&sides, 1);
-            let got = factor_by_rays(&from, &to, &BruteForce::new(&scene), &RaySettings::default());
-            assert!((got.factor - want).abs() < 4.0 * got.error, "{id}: {got:?} for {want}");
-            assert!((got.factor / want - 1.0).abs() < 0.01, "{id}: {got:?} for {want}");
+            let got = factor_by_rays(
+                &from,
+                &to,
+                &BruteForce::new(&scene),
+                &RaySettings::default(),
+            );
+            assert!(
+                (got.factor - want).abs() < 4.0 * got.error,
+                "{id}: {got:?} for {want}"
+            );
+            assert!(
+                (got.factor / want - 1.0).abs() < 0.01,
+                "{id}: {got:?} for {want}"
+            );
             assert!(got.factor <= polygon_to_polygon(&from, &to));
         }
     }
@@ -404,10 +535,19 @@ mod tests {
         let floor = quad([(-1., 0., 0.), (1., 0., 0.), (1., 1., 0.), (-1., 1., 0.)]);
         let ceiling = quad([(-1., 0., 1.), (-1., 1., 1.), (1., 1., 1.), (1., 0., 1.)]);
         let half = quad([(0., -9., 0.5), (9., -9., 0.5), (9., 9., 0.5), (0., 9., 0.5)]);
-        let lid = quad([(-9., -9., 0.5), (9., -9., 0.5), (9., 9., 0.5), (-9., 9., 0.5)]);
+        let lid = quad([
+            (-9., -9., 0.5),
+            (9., -9., 0.5),
+            (9., 9., 0.5),
+            (-9., 9., 0.5),
+        ]);
         let free = polygon_to_polygon(&floor, &ceiling);
         let got = factor_past(&floor, &ceiling, std::slice::from_ref(&half), 1e-6);
-        assert!((got.factor / free - 0.5).abs() < 2e-6, "{}", got.factor / free);
+        assert!(
+            (got.factor / free - 0.5).abs() < 2e-6,
+            "{}",
+            got.factor / free
+        );
         let hidden = factor_past(&floor, &ceiling, &[half, lid], 1e-6);
         assert_eq!(hidden.factor, 0.0);
     }
@@ -418,12 +558,18 @@ mod tests {
         // and beyond the ceiling nothing is hidden.
         let floor = quad([(0., 0., 0.), (1., 0., 0.), (1., 1., 0.), (0., 1., 0.)]);
         let ceiling = quad([(0., 0., 1.), (0., 1., 1.), (1., 1., 1.), (1., 0., 1.)]);
-        let plate = quad([(0.2, 0.3, 0.4), (0.7, 0.3, 0.5), (0.7, 0.8, 0.5), (0.2, 0.8, 0.4)]);
+        let plate = quad([
+            (0.2, 0.3, 0.4),
+            (0.7, 0.3, 0.5),
+            (0.7, 0.8, 0.5),
+            (0.2, 0.8, 0.4),
+        ]);
         let once = factor_past(&floor, &ceiling, std::slice::from_ref(&plate), 1e-5);
         let twice = factor_past(&floor, &ceiling, &[plate.clone(), plate.flipped()], 1e-5);
         let free = polygon_to_polygon(&floor, &ceiling);
         assert!((once.factor - twice.factor).abs() < 1e-12 && once.factor < 0.9 * free);
-        let moved = |z: f64| Polygon::new(plate.vertices.iter().map(|v| *v + DVec3::Z * z).collect());
+        let moved =
+            |z: f64| Polygon::new(plate.vertices.iter().map(|v| *v + DVec3::Z * z).collect());
         let aside = factor_past(&floor, &ceiling, &[moved(-1.0), moved(2.0)], 1e-5);
         assert!((aside.factor - free).abs() < 1e-9);
     }

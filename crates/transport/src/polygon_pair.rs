@@ -52,7 +52,11 @@ pub(crate) fn facing_parts(a: &Polygon, b: &Polygon) -> Option<(Polygon, Polygon
 fn in_front_of(polygon: &Polygon, other: &Polygon) -> Option<Polygon> {
     let normal = other.normal();
     let origin = other.vertices[0];
-    let scale = polygon.vertices.iter().map(|v| (*v - origin).length()).fold(0.0, f64::max);
+    let scale = polygon
+        .vertices
+        .iter()
+        .map(|v| (*v - origin).length())
+        .fold(0.0, f64::max);
     // What rounding leaves of a shared corner counts as in the plane.
     let snap = 1e-12 * scale;
     let height = |v: DVec3| {
@@ -84,7 +88,14 @@ fn in_front_of(polygon: &Polygon, other: &Polygon) -> Option<Polygon> {
 /// Centre and the radius of a ball around it that holds the polygon.
 fn ball(p: &Polygon) -> (DVec3, f64) {
     let centre = p.centre();
-    (centre, p.vertices.iter().map(|v| (*v - centre).length_squared()).fold(0.0, f64::max).sqrt())
+    (
+        centre,
+        p.vertices
+            .iter()
+            .map(|v| (*v - centre).length_squared())
+            .fold(0.0, f64::max)
+            .sqrt(),
+    )
 }
 
 /// Both polygons lie wholly in front of each other.
@@ -95,12 +106,16 @@ fn exchange_of_facing(a: &Polygon, b: &Polygon, relative: f64) -> f64 {
     // Nodes so that the Gauss error (radius / 2 apart)^2n stays below the request.
     let ratio = radius / (2.0 * apart);
     if ratio < 0.2 {
-        let order = (relative.ln() / (2.0 * ratio.max(1e-9).ln())).ceil().max(1.0) as usize;
+        let order = (relative.ln() / (2.0 * ratio.max(1e-9).ln()))
+            .ceil()
+            .max(1.0) as usize;
         let order = order + usize::from(small.vertices.len() == 3);
         if order <= 12 {
             let normal = small.normal();
             let mut sum = 0.0;
-            over_polygon(small, order, |p, w| sum += w * above_horizon(p, normal, &large.vertices));
+            over_polygon(small, order, |p, w| {
+                sum += w * above_horizon(p, normal, &large.vertices)
+            });
             return sum;
         }
     }
@@ -132,7 +147,8 @@ fn contour(a: &Polygon, b: &Polygon) -> f64 {
     // around the closed contours is small to begin with.
     let origin = a.centre();
     let unit = (b.centre() - origin).length().max(f64::MIN_POSITIVE);
-    let local = |p: &Polygon| -> Vec<DVec3> { p.vertices.iter().map(|v| (*v - origin) / unit).collect() };
+    let local =
+        |p: &Polygon| -> Vec<DVec3> { p.vertices.iter().map(|v| (*v - origin) / unit).collect() };
     let (va, vb) = (local(a), local(b));
     let mut sum = 0.0;
     for i in 0..va.len() {
@@ -185,7 +201,8 @@ fn log_integral(p: DVec3, u: DVec3, a: f64, q: DVec3, v: DVec3, b: f64) -> f64 {
         let w = (sine * sine * s * s + h * h).sqrt();
         log_along(t - c * s, w)
     };
-    let boundary = t[1] * (side(s[1], t[1]) - side(s[0], t[1])) - t[0] * (side(s[1], t[0]) - side(s[0], t[0]))
+    let boundary = t[1] * (side(s[1], t[1]) - side(s[0], t[1]))
+        - t[0] * (side(s[1], t[0]) - side(s[0], t[0]))
         + s[1] * (other(s[1], t[1]) - other(s[1], t[0]))
         - s[0] * (other(s[0], t[1]) - other(s[0], t[0]));
     0.5 * (boundary - a * b + skew(s, t, h, c, sine))
@@ -234,7 +251,11 @@ fn parallel(d: DVec3, u: DVec3, a: f64, b: f64, sign: f64) -> f64 {
     // s along u from p; the other edge covers d.u offsets t from -d.u, in direction sign.
     let offset = -d.dot(u);
     let h = (d - u * d.dot(u)).length();
-    let (t0, t1) = if sign > 0.0 { (offset, offset + b) } else { (offset - b, offset) };
+    let (t0, t1) = if sign > 0.0 {
+        (offset, offset + b)
+    } else {
+        (offset - b, offset)
+    };
     // Second antiderivative of ln sqrt(x^2 + h^2).
     let twice = |x: f64| {
         let square = x * x + h * h;
@@ -264,7 +285,10 @@ fn nearly_parallel(p: DVec3, u: DVec3, a: f64, q: DVec3, v: DVec3, b: f64) -> f6
         }
     }
     cuts.sort_by(f64::total_cmp);
-    cuts.windows(2).filter(|w| w[1] > w[0]).map(|w| adaptive(w[0], w[1], 1e-13 * b, &mut { inner })).sum()
+    cuts.windows(2)
+        .filter(|w| w[1] > w[0])
+        .map(|w| adaptive(w[0], w[1], 1e-13 * b, &mut { inner }))
+        .sum()
 }
 
 #[cfg(test)]
@@ -279,14 +303,22 @@ mod tests {
     #[test]
     fn reference_cases() {
         // 1e-6 relative as the file asks of analytic methods, plus its uncertainty.
-        let Some(cases) = testing::cases("form_factors.json") else { return };
+        let Some(cases) = testing::cases("form_factors.json") else {
+            return;
+        };
         let (mut worst, mut count) = ((0.0_f64, String::new()), 0);
         for case in &cases {
-            if case["scene"]["surfaces"].as_array().is_some_and(|s| s.len() != 2) {
+            if case["scene"]["surfaces"]
+                .as_array()
+                .is_some_and(|s| s.len() != 2)
+            {
                 continue;
             }
             for query in case["queries"].as_array().expect("queries") {
-                let (from, to) = (testing::surface(case, &query["from"]), testing::surface(case, &query["to"]));
+                let (from, to) = (
+                    testing::surface(case, &query["from"]),
+                    testing::surface(case, &query["to"]),
+                );
                 if !testing::is_polygon(from) || !testing::is_polygon(to) {
                     continue;
                 }
@@ -294,26 +326,44 @@ mod tests {
                 let got = polygon_to_polygon(&from, &to);
                 let (want, unc) = testing::expected(query);
                 let relative = (got - want).abs() / want.abs();
-                assert!((got - want).abs() <= 1e-6 * want.abs() + unc, "{} {}: {got} for {want}", case["id"], query["id"]);
+                assert!(
+                    (got - want).abs() <= 1e-6 * want.abs() + unc,
+                    "{} {}: {got} for {want}",
+                    case["id"],
+                    query["id"]
+                );
                 if relative > worst.0 {
                     worst = (relative, case["id"].to_string());
                 }
                 count += 1;
             }
         }
-        eprintln!("{count} polygon factors, worst relative error {:.1e} in {}", worst.0, worst.1);
+        eprintln!(
+            "{count} polygon factors, worst relative error {:.1e} in {}",
+            worst.0, worst.1
+        );
         assert!(count >= 60, "{count}");
     }
 
     #[test]
     fn closed_form_equals_quadrature_of_the_point_form() {
         // Skew triangles; 32 x 32 Gauss points of Lambert's formula are exact to rounding here.
-        let a = Polygon::new(vec![DVec3::new(0.1, 0.0, 0.0), DVec3::new(1.0, 0.2, 0.1), DVec3::new(0.3, 0.9, -0.1)]);
-        let b = Polygon::new(vec![DVec3::new(0.0, 0.1, 1.5), DVec3::new(0.2, 1.3, 1.2), DVec3::new(1.1, 0.4, 1.4)]);
+        let a = Polygon::new(vec![
+            DVec3::new(0.1, 0.0, 0.0),
+            DVec3::new(1.0, 0.2, 0.1),
+            DVec3::new(0.3, 0.9, -0.1),
+        ]);
+        let b = Polygon::new(vec![
+            DVec3::new(0.0, 0.1, 1.5),
+            DVec3::new(0.2, 1.3, 1.2),
+            DVec3::new(1.1, 0.4, 1.4),
+        ]);
         let (fa, fb) = facing_parts(&a, &b).expect("they face each other");
         let normal = fa.normal();
         let mut want = 0.0;
-        over_polygon(&fa, 32, |p, w| want += w * above_horizon(p, normal, &fb.vertices));
+        over_polygon(&fa, 32, |p, w| {
+            want += w * above_horizon(p, normal, &fb.vertices)
+        });
         let got = contour(&fa, &fb);
         assert!((got - want).abs() < 1e-12 * want, "{got} for {want}");
         assert!((contour(&fb, &fa) - got).abs() < 1e-13 * got, "symmetric");
@@ -362,7 +412,12 @@ mod tests {
     #[test]
     fn rows_of_closed_boxes_sum_to_one() {
         // Closure of the cube and of flat and long boxes: 1e-10.
-        for (x, y, z) in [(1.0, 1.0, 1.0), (10.0, 10.0, 0.01), (100.0, 0.5, 0.5), (1e-3, 2e-3, 1e-3)] {
+        for (x, y, z) in [
+            (1.0, 1.0, 1.0),
+            (10.0, 10.0, 0.01),
+            (100.0, 0.5, 0.5),
+            (1e-3, 2e-3, 1e-3),
+        ] {
             let v = |i: f64, j: f64, k: f64| (i * x, j * y, k * z);
             let faces = [
                 quad([v(0., 0., 0.), v(1., 0., 0.), v(1., 1., 0.), v(0., 1., 0.)]),

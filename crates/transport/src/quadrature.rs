@@ -27,7 +27,10 @@ fn legendre(n: usize) -> Vec<(f64, f64)> {
                 let (mut before, mut value) = (1.0, x);
                 for k in 2..=n {
                     let k = k as f64;
-                    (before, value) = (value, ((2.0 * k - 1.0) * x * value - (k - 1.0) * before) / k);
+                    (before, value) = (
+                        value,
+                        ((2.0 * k - 1.0) * x * value - (k - 1.0) * before) / k,
+                    );
                 }
                 slope = order * (x * value - before) / (x * x - 1.0);
                 x -= value / slope;
@@ -42,11 +45,23 @@ fn legendre(n: usize) -> Vec<(f64, f64)> {
 const KRONROD: [(f64, f64, f64); 8] = [
     (0.0, 0.209_482_141_084_727_82, 0.417_959_183_673_469_4),
     (0.207_784_955_007_898_47, 0.204_432_940_075_298_9, 0.0),
-    (0.405_845_151_377_397_17, 0.190_350_578_064_785_4, 0.381_830_050_505_118_94),
+    (
+        0.405_845_151_377_397_2,
+        0.190_350_578_064_785_4,
+        0.381_830_050_505_118_9,
+    ),
     (0.586_087_235_467_691_1, 0.169_004_726_639_267_9, 0.0),
-    (0.741_531_185_599_394_4, 0.140_653_259_715_525_92, 0.279_705_391_489_276_64),
+    (
+        0.741_531_185_599_394_4,
+        0.140_653_259_715_525_92,
+        0.279_705_391_489_276_64,
+    ),
     (0.864_864_423_359_769_1, 0.104_790_010_322_250_18, 0.0),
-    (0.949_107_912_342_758_5, 0.063_092_092_629_978_55, 0.129_484_966_168_869_7),
+    (
+        0.949_107_912_342_758_5,
+        0.063_092_092_629_978_55,
+        0.129_484_966_168_869_7,
+    ),
     (0.991_455_371_120_812_6, 0.022_935_322_010_529_224, 0.0),
 ];
 
@@ -59,7 +74,11 @@ pub(crate) fn adaptive(low: f64, high: f64, tolerance: f64, f: &mut impl FnMut(f
         let (middle, half) = (0.5 * (a + b), 0.5 * (b - a));
         let (mut fine, mut coarse) = (0.0, 0.0);
         for (k, &(x, wk, wg)) in KRONROD.iter().enumerate() {
-            let y = if k == 0 { f(middle) } else { f(middle - half * x) + f(middle + half * x) };
+            let y = if k == 0 {
+                f(middle)
+            } else {
+                f(middle - half * x) + f(middle + half * x)
+            };
             fine += wk * y;
             coarse += wg * y;
         }
@@ -99,7 +118,10 @@ pub(crate) fn over_polygon(polygon: &Polygon, n: usize, mut each: impl FnMut(DVe
             let s = 0.5 + 0.5 * x;
             for &(y, wy) in rule {
                 let t = 0.5 + 0.5 * y;
-                each(a + (b - a) * (s * (1.0 - t)) + (c - a) * (s * t), 0.25 * wx * wy * s * double);
+                each(
+                    a + (b - a) * (s * (1.0 - t)) + (c - a) * (s * t),
+                    0.25 * wx * wy * s * double,
+                );
             }
         }
     }
@@ -115,7 +137,10 @@ mod tests {
         for n in 1..=MAX_ORDER {
             for k in (0..2 * n).step_by(2) {
                 let sum: f64 = gauss(n).iter().map(|&(x, w)| w * x.powi(k as i32)).sum();
-                assert!((sum - 2.0 / (k as f64 + 1.0)).abs() < 1e-13, "order {n}, power {k}");
+                assert!(
+                    (sum - 2.0 / (k as f64 + 1.0)).abs() < 1e-13,
+                    "order {n}, power {k}"
+                );
             }
         }
     }
@@ -132,8 +157,16 @@ mod tests {
     #[test]
     fn polygon_rule_integrates_moments() {
         // Unit square: area 1, mean of x^2 1/3. Triangle (0,0) (1,0) (0,1): integral of xy 1/24.
-        let square = Polygon::new([(0., 0.), (1., 0.), (1., 1.), (0., 1.)].map(|(x, y)| DVec3::new(x, y, 0.0)).to_vec());
-        let triangle = Polygon::new([(0., 0.), (1., 0.), (0., 1.)].map(|(x, y)| DVec3::new(x, y, 0.0)).to_vec());
+        let square = Polygon::new(
+            [(0., 0.), (1., 0.), (1., 1.), (0., 1.)]
+                .map(|(x, y)| DVec3::new(x, y, 0.0))
+                .to_vec(),
+        );
+        let triangle = Polygon::new(
+            [(0., 0.), (1., 0.), (0., 1.)]
+                .map(|(x, y)| DVec3::new(x, y, 0.0))
+                .to_vec(),
+        );
         let (mut area, mut second, mut cross) = (0.0, 0.0, 0.0);
         over_polygon(&square, 3, |p, w| {
             area += w;

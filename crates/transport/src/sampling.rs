@@ -94,7 +94,8 @@ pub fn disc([u, v]: [f32; 2]) -> [f32; 2] {
     // every platform, which sin and cos of a maths library are not.
     let x = std::f32::consts::FRAC_PI_4 * (other / radius);
     let s = x * x;
-    let sin = x * (1.0 - s * (1.0 / 6.0 - s * (1.0 / 120.0 - s * (1.0 / 5040.0 - s * (1.0 / 362_880.0)))));
+    let sin = x
+        * (1.0 - s * (1.0 / 6.0 - s * (1.0 / 120.0 - s * (1.0 / 5040.0 - s * (1.0 / 362_880.0)))));
     let cos = 1.0 - s * (0.5 - s * (1.0 / 24.0 - s * (1.0 / 720.0 - s * (1.0 / 40_320.0))));
     let (p, q) = (radius * cos, radius * sin);
     if flat { [p, q] } else { [q, p] }
@@ -107,7 +108,11 @@ pub fn frame(normal: Vec3) -> [Vec3; 2] {
     let a = -1.0 / (sign + normal.z);
     let b = normal.x * normal.y * a;
     [
-        Vec3::new(1.0 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
+        Vec3::new(
+            1.0 + sign * normal.x * normal.x * a,
+            sign * b,
+            -sign * normal.x,
+        ),
         Vec3::new(b, sign + normal.y * normal.y * a, -normal.y),
     ]
 }
@@ -115,7 +120,9 @@ pub fn frame(normal: Vec3) -> [Vec3; 2] {
 /// A well-mixed number from a few words; for streams and seeds, not for cryptography.
 #[inline]
 pub fn hash<const N: usize>(words: [u32; N]) -> u32 {
-    words.iter().fold(0x9e37_79b9, |state, &w| mix(state.rotate_left(5).wrapping_mul(0x2722_0a95) ^ w))
+    words.iter().fold(0x9e37_79b9, |state, &w| {
+        mix(state.rotate_left(5).wrapping_mul(0x2722_0a95) ^ w)
+    })
 }
 
 /// Bijective mixing of one word (Wellons' lowbias32, the constants of sobol_burley).
@@ -219,7 +226,11 @@ mod tests {
                 let ours = TABLE[0][b[0] as usize][d] ^ TABLE[1][b[1] as usize][d];
                 let theirs = sobol_burley::parts::sobol_rev(index.reverse_bits(), d as u32);
                 // The crate stores 16 bits of each direction number.
-                assert_eq!(ours & 0xffff, theirs & 0xffff, "point {index} dimension {d}");
+                assert_eq!(
+                    ours & 0xffff,
+                    theirs & 0xffff,
+                    "point {index} dimension {d}"
+                );
             }
         }
     }
@@ -278,7 +289,12 @@ mod tests {
     fn cosine_directions_have_the_moments_of_the_cosine() {
         // Mean of cos theta is 2/3, of cos^2 theta 1/2, of the square of a tangent component
         // 1/4; 4096 stratified points reach 1e-3 easily.
-        for normal in [Vec3::Z, -Vec3::Z, Vec3::new(0.6, -0.48, 0.64), Vec3::new(-0.8, 0.0, -0.6)] {
+        for normal in [
+            Vec3::Z,
+            -Vec3::Z,
+            Vec3::new(0.6, -0.48, 0.64),
+            Vec3::new(-0.8, 0.0, -0.6),
+        ] {
             let s = Sequence::new(3, 9);
             let [a, b] = frame(normal);
             assert!(a.dot(b).abs() < 1e-6 && (a.cross(b) - normal).length() < 1e-6);
@@ -312,7 +328,10 @@ mod tests {
                 } else if a.abs() > b.abs() {
                     (a, std::f64::consts::FRAC_PI_4 * b / a)
                 } else {
-                    (b, std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_4 * a / b)
+                    (
+                        b,
+                        std::f64::consts::FRAC_PI_2 - std::f64::consts::FRAC_PI_4 * a / b,
+                    )
                 };
                 assert!((x as f64 - r * phi.cos()).abs() < 3e-7);
                 assert!((y as f64 - r * phi.sin()).abs() < 3e-7);

@@ -62,7 +62,11 @@ pub fn strip_to_strip(a: &Strip, b: &Strip) -> f64 {
         // |far - from| - |near - from| without cancellation.
         let (x, y) = (far - from, near - from);
         let sum = x.length() + y.length();
-        if sum > 0.0 { (far - near).dot(x + y) / sum } else { 0.0 }
+        if sum > 0.0 {
+            (far - near).dot(x + y) / sum
+        } else {
+            0.0
+        }
     };
     let twice = shorter(pa.from, pb.from, pb.to) + shorter(pa.to, pb.to, pb.from);
     (twice / (2.0 * a.width())).clamp(0.0, 1.0)
@@ -71,7 +75,10 @@ pub fn strip_to_strip(a: &Strip, b: &Strip) -> f64 {
 /// All factors between the strips of a convex section, or of any in which none hides another:
 /// `factors[i][j]` = F_ij.
 pub fn strip_factors(strips: &[Strip]) -> Vec<Vec<f64>> {
-    strips.iter().map(|a| strips.iter().map(|b| strip_to_strip(a, b)).collect()).collect()
+    strips
+        .iter()
+        .map(|a| strips.iter().map(|b| strip_to_strip(a, b)).collect())
+        .collect()
 }
 
 /// Fraction of the flux leaving a strip that reaches a parallel cylinder wholly in front of it;
@@ -115,23 +122,37 @@ mod tests {
     #[test]
     fn reference_cases() {
         // 1e-6 relative as the file asks of analytic methods, plus its uncertainty.
-        let Some(cases) = testing::cases("form_factors.json") else { return };
+        let Some(cases) = testing::cases("form_factors.json") else {
+            return;
+        };
         let (mut count, mut worst) = (0, 0.0_f64);
         for case in cases.iter().filter(|c| c["tags"][0] == "2d") {
             for query in case["queries"].as_array().expect("queries") {
-                let (from, to) = (testing::surface(case, &query["from"]), testing::surface(case, &query["to"]));
+                let (from, to) = (
+                    testing::surface(case, &query["from"]),
+                    testing::surface(case, &query["to"]),
+                );
                 let strip = |s: &serde_json::Value| Strip::new(at(&s["p0"]), at(&s["p1"]));
                 let radius = |s: &serde_json::Value| s["radius"].as_f64().expect("radius");
                 let got = match (from["shape"].as_str(), to["shape"].as_str()) {
-                    (Some("infinite_strip"), Some("infinite_strip")) => strip_to_strip(&strip(from), &strip(to)),
-                    (Some("infinite_strip"), _) => strip_to_cylinder(&strip(from), at(&to["center"]), radius(to)),
+                    (Some("infinite_strip"), Some("infinite_strip")) => {
+                        strip_to_strip(&strip(from), &strip(to))
+                    }
+                    (Some("infinite_strip"), _) => {
+                        strip_to_cylinder(&strip(from), at(&to["center"]), radius(to))
+                    }
                     _ => {
                         let d = (at(&from["center"]) - at(&to["center"])).length();
                         cylinder_to_cylinder(radius(from), radius(to), d)
                     }
                 };
                 let (want, unc) = testing::expected(query);
-                assert!((got - want).abs() <= 1e-6 * want + unc, "{} {}: {got} for {want}", case["id"], query["id"]);
+                assert!(
+                    (got - want).abs() <= 1e-6 * want + unc,
+                    "{} {}: {got} for {want}",
+                    case["id"],
+                    query["id"]
+                );
                 worst = worst.max((got / want - 1.0).abs());
                 count += 1;
             }
@@ -147,11 +168,18 @@ mod tests {
         // rows close. Rounding only.
         let g = 3.0_f64.sqrt();
         let (o, floor, wall) = (DVec2::ZERO, DVec2::new(g, 0.0), DVec2::new(0.0, 1.0));
-        let strips = [Strip::new(o, floor), Strip::new(wall, o), Strip::new(floor, wall)];
+        let strips = [
+            Strip::new(o, floor),
+            Strip::new(wall, o),
+            Strip::new(floor, wall),
+        ];
         let f = strip_factors(&strips);
         assert!((f[0][1] * g - 0.5 * (1.0 + g - 2.0)).abs() < 1e-15);
         for i in 0..3 {
-            assert!((f[i].iter().sum::<f64>() - 1.0).abs() < 1e-14, "closed triangle");
+            assert!(
+                (f[i].iter().sum::<f64>() - 1.0).abs() < 1e-14,
+                "closed triangle"
+            );
             assert_eq!(f[i][i], 0.0);
             for j in 0..3 {
                 let (wi, wj) = (strips[i].width(), strips[j].width());
@@ -163,8 +191,15 @@ mod tests {
     #[test]
     fn strips_behind_and_in_one_line_give_zero() {
         let a = Strip::new(DVec2::ZERO, DVec2::X);
-        assert_eq!(strip_to_strip(&a, &Strip::new(DVec2::X, DVec2::new(2.0, 0.0))), 0.0);
-        assert_eq!(strip_to_strip(&a, &Strip::new(DVec2::Y, DVec2::ONE)), 0.0, "faces up");
+        assert_eq!(
+            strip_to_strip(&a, &Strip::new(DVec2::X, DVec2::new(2.0, 0.0))),
+            0.0
+        );
+        assert_eq!(
+            strip_to_strip(&a, &Strip::new(DVec2::Y, DVec2::ONE)),
+            0.0,
+            "faces up"
+        );
         // Half of a tall wall is below the floor: as its upper half.
         let tall = Strip::new(DVec2::new(0.0, 1.0), DVec2::new(0.0, -1.0));
         let upper = Strip::new(DVec2::new(0.0, 1.0), DVec2::ZERO);
@@ -174,7 +209,10 @@ mod tests {
 
     #[test]
     fn unequal_cylinders_are_reciprocal_and_tend_to_the_view_of_a_line() {
-        let (f, back) = (cylinder_to_cylinder(2.0, 0.5, 4.0), cylinder_to_cylinder(0.5, 2.0, 4.0));
+        let (f, back) = (
+            cylinder_to_cylinder(2.0, 0.5, 4.0),
+            cylinder_to_cylinder(0.5, 2.0, 4.0),
+        );
         assert!((2.0 * f - 0.5 * back).abs() < 1e-15);
         // A vanishing sender sees the other under the half angle asin(b/d): share asin/pi.
         let tiny = cylinder_to_cylinder(1e-6, 2.0, 4.0);

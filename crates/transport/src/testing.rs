@@ -15,11 +15,16 @@ pub(crate) struct BruteForce {
 impl BruteForce {
     pub fn new(scene: &Scene) -> Self {
         let triangles = (0..scene.triangles.len()).map(|t| scene.corners(t).map(|c| c.as_dvec3()));
-        BruteForce { triangles: triangles.collect() }
+        BruteForce {
+            triangles: triangles.collect(),
+        }
     }
 
     fn nearest(&self, ray: &Ray) -> Hit {
-        let mut best = Hit { t: ray.t_max, ..Hit::MISS };
+        let mut best = Hit {
+            t: ray.t_max,
+            ..Hit::MISS
+        };
         let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
         for (k, &[a, b, c]) in self.triangles.iter().enumerate() {
             let (e1, e2) = (b - a, c - a);
@@ -37,7 +42,13 @@ impl BruteForce {
             let inside = u >= -1e-9 && v >= -1e-9 && u + v <= 1.0 + 1e-9;
             if inside && t > ray.t_min as f64 && t < best.t as f64 {
                 let side = if det > 0.0 { Side::Front } else { Side::Back };
-                best = Hit { t: t as f32, triangle: k as u32, u: u as f32, v: v as f32, side };
+                best = Hit {
+                    t: t as f32,
+                    triangle: k as u32,
+                    u: u as f32,
+                    v: v as f32,
+                    side,
+                };
             }
         }
         if best.is_hit() { best } else { Hit::MISS }
@@ -65,11 +76,16 @@ impl RayCaster for BruteForce {
 /// A scene of parallelograms `(origin, edge_u, edge_v)`, fronts towards `edge_u x edge_v`, each
 /// cut into `cells` x `cells` elements; backs are black.
 pub(crate) fn parallelograms(sides: &[[Vec3; 3]], cells: u32) -> (Scene, Front) {
-    let mut scene = Scene { finishes: vec![Finish::default()], ..Scene::default() };
+    let mut scene = Scene {
+        finishes: vec![Finish::default()],
+        ..Scene::default()
+    };
     for (k, &[o, u, v]) in sides.iter().enumerate() {
         let base = scene.positions.len() as u32;
         scene.positions.extend([o, o + u, o + u + v, o + v]);
-        scene.triangles.extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
+        scene
+            .triangles
+            .extend([[base, base + 1, base + 2], [base, base + 2, base + 3]]);
         scene.surface_of.extend([SurfaceId::from(k); 2]);
         scene.source_triangle.extend([0, 1]);
         let first = 2 * k as u32;
@@ -84,9 +100,20 @@ pub(crate) fn parallelograms(sides: &[[Vec3; 3]], cells: u32) -> (Scene, Front) 
     }
     let mut front = Front::new(scene.triangles.len());
     for (k, &[origin, edge_u, edge_v]) in sides.iter().enumerate() {
-        let shape = Shape::Parallelogram { origin, edge_u, edge_v };
+        let shape = Shape::Parallelogram {
+            origin,
+            edge_u,
+            edge_v,
+        };
         let first = 2 * k as u32;
-        front.add_patch(SurfaceId::from(k), Side::Front, shape, [cells; 2], GroupId::NONE, &[first, first + 1]);
+        front.add_patch(
+            SurfaceId::from(k),
+            Side::Front,
+            shape,
+            [cells; 2],
+            GroupId::NONE,
+            &[first, first + 1],
+        );
     }
     (scene, front)
 }
@@ -94,13 +121,26 @@ pub(crate) fn parallelograms(sides: &[[Vec3; 3]], cells: u32) -> (Scene, Front) 
 /// The inside of the unit cube: floor, ceiling, then the walls x = 0, x = 1, y = 0, y = 1.
 pub(crate) fn cube(cells: u32) -> (Scene, Front) {
     let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
-    parallelograms(&[[Vec3::ZERO, x, y], [z, y, x], [Vec3::ZERO, y, z], [x, z, y], [Vec3::ZERO, z, x], [y, x, z]], cells)
+    parallelograms(
+        &[
+            [Vec3::ZERO, x, y],
+            [z, y, x],
+            [Vec3::ZERO, y, z],
+            [x, z, y],
+            [Vec3::ZERO, z, x],
+            [y, x, z],
+        ],
+        cells,
+    )
 }
 
 /// The cases of one reference file, or `None` (and a word on stderr) where it is absent.
 pub(crate) fn cases(file: &str) -> Option<Vec<Value>> {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-    let path = root.ancestors().map(|p| p.join("shared/reference").join(file)).find(|p| p.exists());
+    let path = root
+        .ancestors()
+        .map(|p| p.join("shared/reference").join(file))
+        .find(|p| p.exists());
     let Some(path) = path else {
         eprintln!("skipped: no shared/reference/{file} beside the project");
         return None;
@@ -118,13 +158,23 @@ pub(crate) fn vector(v: &Value) -> DVec3 {
 
 /// A JSON surface of shape `polygon`.
 pub(crate) fn polygon(surface: &Value) -> Polygon {
-    Polygon::new(surface["vertices"].as_array().expect("vertices").iter().map(vector).collect())
+    Polygon::new(
+        surface["vertices"]
+            .as_array()
+            .expect("vertices")
+            .iter()
+            .map(vector)
+            .collect(),
+    )
 }
 
 /// Surface of a case by its id.
 pub(crate) fn surface<'a>(case: &'a Value, id: &Value) -> &'a Value {
     let surfaces = case["scene"]["surfaces"].as_array().expect("surfaces");
-    surfaces.iter().find(|s| s["id"] == *id).expect("the case names its surfaces")
+    surfaces
+        .iter()
+        .find(|s| s["id"] == *id)
+        .expect("the case names its surfaces")
 }
 
 /// Whether a surface is a polygon.
@@ -134,5 +184,8 @@ pub(crate) fn is_polygon(surface: &Value) -> bool {
 
 /// Largest relative error that a query allows, and its expected value.
 pub(crate) fn expected(query: &Value) -> (f64, f64) {
-    (query["expected"].as_f64().expect("a number"), 3.0 * query["unc"].as_f64().unwrap_or(0.0))
+    (
+        query["expected"].as_f64().expect("a number"),
+        3.0 * query["unc"].as_f64().unwrap_or(0.0),
+    )
 }
