@@ -23,7 +23,10 @@ pub fn write_with(
     fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
     let name = path.file_name().ok_or_else(|| {
-        io::Error::new(io::ErrorKind::InvalidInput, format!("{} is no file name", path.display()))
+        io::Error::new(
+            io::ErrorKind::InvalidInput,
+            format!("{} is no file name", path.display()),
+        )
     })?;
     let folder = match path.parent() {
         Some(p) if !p.as_os_str().is_empty() => p,

@@ -61,7 +61,12 @@ pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -
             h.word(e.texture.map_or(u64::MAX, |t| t.0 as u64));
             h.word(e.group.0 as u64);
         }
-        let flags = [f.back_reflects, f.back_emits, f.transparent, f.emission.is_some()];
+        let flags = [
+            f.back_reflects,
+            f.back_emits,
+            f.transparent,
+            f.emission.is_some(),
+        ];
         flags.iter().for_each(|&b| h.word(b as u64));
         h.floats(&[f.coverage]);
         match f.alpha {
@@ -73,7 +78,9 @@ pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -
     for t in &scene.textures {
         h.word(t.width as u64);
         h.word(t.height as u64);
-        t.rgba.iter().for_each(|p| h.word(u32::from_le_bytes(*p) as u64));
+        t.rgba
+            .iter()
+            .for_each(|p| h.word(u32::from_le_bytes(*p) as u64));
     }
     for l in &scene.luminaires {
         h.floats(&l.position.to_array());
@@ -85,7 +92,12 @@ pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -
                 h.floats(&intensity.to_array());
                 h.floats(&[range_m]);
             }
-            LuminaireKind::Spot { intensity, range_m, cos_inner, cos_outer } => {
+            LuminaireKind::Spot {
+                intensity,
+                range_m,
+                cos_inner,
+                cos_outer,
+            } => {
                 h.word(1);
                 h.floats(&intensity.to_array());
                 h.floats(&[range_m, cos_inner, cos_outer]);
@@ -117,9 +129,19 @@ pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -
         h.word(p.surface.0 as u64);
         h.word(p.side as u64);
         match &p.shape {
-            Shape::Parallelogram { origin, edge_u, edge_v }
-            | Shape::Triangle { origin, edge_u, edge_v } => {
-                [origin, edge_u, edge_v].iter().for_each(|v| h.floats(&v.to_array()));
+            Shape::Parallelogram {
+                origin,
+                edge_u,
+                edge_v,
+            }
+            | Shape::Triangle {
+                origin,
+                edge_u,
+                edge_v,
+            } => {
+                [origin, edge_u, edge_v]
+                    .iter()
+                    .for_each(|v| h.floats(&v.to_array()));
             }
             Shape::Cluster { triangles } => {
                 h.word(triangles.start as u64);
@@ -156,7 +178,10 @@ impl Fnv {
 pub fn write_solution(path: &Path, stored: &StoredSolution) -> std::io::Result<()> {
     let body = body_length(stored) as u64;
     atomic::write_with(path, |out| {
-        let mut out = Summed { out, crc: crc32fast::Hasher::new() };
+        let mut out = Summed {
+            out,
+            crc: crc32fast::Hasher::new(),
+        };
         out.write_all(MAGIC)?;
         out.write_all(&VERSION.to_le_bytes())?;
         out.write_all(&body.to_le_bytes())?;
@@ -208,7 +233,11 @@ impl Write for Summed<'_> {
 
 /// Reads the solution file of the problem with this fingerprint on `elements` elements; that of
 /// any other problem is an error for the user.
-pub fn read_solution(path: &Path, fingerprint: u64, elements: usize) -> Result<StoredSolution, Error> {
+pub fn read_solution(
+    path: &Path,
+    fingerprint: u64,
+    elements: usize,
+) -> Result<StoredSolution, Error> {
     let file = path.display().to_string();
     let refuse = |found: String| Error::new("a solution file", found).in_file(&file);
     let about = std::fs::metadata(path).map_err(|e| refuse(e.to_string()))?;
@@ -222,7 +251,10 @@ pub fn read_solution(path: &Path, fingerprint: u64, elements: usize) -> Result<S
     let mut bytes = Vec::new();
     if known {
         bytes.extend(head);
-        source.take(about.len()).read_to_end(&mut bytes).map_err(|e| refuse(e.to_string()))?;
+        source
+            .take(about.len())
+            .read_to_end(&mut bytes)
+            .map_err(|e| refuse(e.to_string()))?;
     }
     let stored = solution_from_bytes(&bytes).map_err(|e| e.in_file(&file))?;
     if stored.fingerprint != fingerprint || stored.solution.len() != elements {
@@ -244,7 +276,10 @@ pub fn solution_from_bytes(bytes: &[u8]) -> Result<StoredSolution, Error> {
     let mut all = Cursor { bytes: &kept[8..] };
     let version = all.u32("version")?;
     if version != VERSION {
-        return Err(Error::new(format!("version {VERSION}"), format!("version {version}")));
+        return Err(Error::new(
+            format!("version {VERSION}"),
+            format!("version {version}"),
+        ));
     }
     let length = all.u64("length")?;
     if length != all.bytes.len() as u64 {
@@ -254,7 +289,10 @@ pub fn solution_from_bytes(bytes: &[u8]) -> Result<StoredSolution, Error> {
     let mut crc = crc32fast::Hasher::new();
     crc.update(kept);
     if crc.finalize().to_le_bytes() != sum {
-        return Err(Error::new("bytes that fit their checksum", "a damaged file"));
+        return Err(Error::new(
+            "bytes that fit their checksum",
+            "a damaged file",
+        ));
     }
     let mut stored = StoredSolution {
         fingerprint: all.u64("fingerprint")?,
@@ -304,7 +342,10 @@ struct Cursor<'a> {
 impl<'a> Cursor<'a> {
     fn take(&mut self, n: usize, what: &str) -> Result<&'a [u8], Error> {
         if n > self.bytes.len() {
-            return Err(Error::new(format!("{n} bytes of {what}"), format!("{}", self.bytes.len())));
+            return Err(Error::new(
+                format!("{n} bytes of {what}"),
+                format!("{}", self.bytes.len()),
+            ));
         }
         let (head, rest) = self.bytes.split_at(n);
         self.bytes = rest;
@@ -327,7 +368,9 @@ mod tests {
     use proptest::prelude::*;
 
     fn stored() -> StoredSolution {
-        let layers = Layers { groups: vec!["lamp".into(), "sky é".into()] };
+        let layers = Layers {
+            groups: vec!["lamp".into(), "sky é".into()],
+        };
         StoredSolution {
             fingerprint: 0x0123_4567_89ab_cdef,
             step: 7,
@@ -348,8 +391,13 @@ mod tests {
         write_solution(&path, &stored()).expect("written");
         let own = stored().fingerprint;
         assert_eq!(read_solution(&path, own, 5).expect("read"), stored());
-        let told = read_solution(&path, own + 1, 5).expect_err("another scene").to_string();
-        assert!(told.contains("expected the solution of this scene"), "{told}");
+        let told = read_solution(&path, own + 1, 5)
+            .expect_err("another scene")
+            .to_string();
+        assert!(
+            told.contains("expected the solution of this scene"),
+            "{told}"
+        );
         assert!(read_solution(&path, own, 6).is_err(), "another mesh");
         assert!(read_solution(folder.path(), own, 5).is_err(), "a folder");
         std::fs::read(&path).expect("there")

@@ -187,7 +187,9 @@ impl<'a> Writer<'a> {
                 mesh["extras"] = extras.clone();
             }
             let mesh = self.base.push("meshes", mesh);
-            let node = self.base.push("nodes", json!({ "name": surface.name, "mesh": mesh }));
+            let node = self
+                .base
+                .push("nodes", json!({ "name": surface.name, "mesh": mesh }));
             self.base.add_root(node);
         }
         let v = self.views;
@@ -224,7 +226,14 @@ impl<'a> Writer<'a> {
         let triangles = p.triangles.iter().map(|t| t.map(|i| i - p.first_vertex));
         let material = self.material(p.surface, look);
         Some(self.mesh(
-            first_view, p.positions, p.normals, p.uvs, &colours, p.irradiance, triangles, material,
+            first_view,
+            p.positions,
+            p.normals,
+            p.uvs,
+            &colours,
+            p.irradiance,
+            triangles,
+            material,
         ))
     }
 
@@ -247,13 +256,24 @@ impl<'a> Writer<'a> {
             return None;
         }
         // Glass is no receiver: it is shown at the brightness of a surface in full light.
-        let shown = if look == Look::Glass { Rgb::splat(1.0 / self.scale) } else { Rgb::BLACK };
+        let shown = if look == Look::Glass {
+            Rgb::splat(1.0 / self.scale)
+        } else {
+            Rgb::BLACK
+        };
         let colours = vec![shown; positions.len()];
         let irradiance = vec![Rgb::BLACK; positions.len()];
         let triangles = (0..positions.len() as u32 / 3).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]);
         let material = self.material(SurfaceId::from(surface), look);
         Some(self.mesh(
-            first_view, &positions, &normals, &uvs, &colours, &irradiance, triangles, material,
+            first_view,
+            &positions,
+            &normals,
+            &uvs,
+            &colours,
+            &irradiance,
+            triangles,
+            material,
         ))
     }
 
@@ -277,7 +297,10 @@ impl<'a> Writer<'a> {
         let mut sum = Rgb::BLACK;
         p.irradiance.iter().for_each(|e| sum += *e);
         let reflected = base * sum * (1.0 / p.irradiance.len().max(1) as f32);
-        match (own.luminance() >= reflected.luminance(), emission.texture.is_some()) {
+        match (
+            own.luminance() >= reflected.luminance(),
+            emission.texture.is_some(),
+        ) {
             (false, _) => (Look::Lit, Rgb::BLACK),
             (true, true) => (Look::GlowPicture, exitance),
             (true, false) => (Look::Glow, exitance),
@@ -286,7 +309,10 @@ impl<'a> Writer<'a> {
 
     fn mean(&mut self, texture: TextureId) -> Rgb {
         let scene = self.scene;
-        *self.means.entry(texture).or_insert_with(|| scene.textures[texture.index()].mean())
+        *self
+            .means
+            .entry(texture)
+            .or_insert_with(|| scene.textures[texture.index()].mean())
     }
 
     fn material(&mut self, surface: SurfaceId, look: Look) -> usize {
@@ -297,7 +323,11 @@ impl<'a> Writer<'a> {
         let finish = &self.scene.finishes[s.finish.index()];
         let coverage = finish.coverage.clamp(0.0, 1.0);
         let (factor, alpha, texture) = match look {
-            Look::Lit => (finish.reflectance, coverage, finish.texture.map(|t| (t, "base"))),
+            Look::Lit => (
+                finish.reflectance,
+                coverage,
+                finish.texture.map(|t| (t, "base")),
+            ),
             Look::Glow => (Rgb::WHITE, coverage, None),
             Look::GlowPicture => {
                 let picture = finish.emission.as_ref().and_then(|e| e.texture);
@@ -338,7 +368,10 @@ impl<'a> Writer<'a> {
                 material["extras"] = extras.clone();
             }
             // A `luxel` member of other extras would lose its owner's meaning: objects only.
-            let extras = material.as_object_mut().expect("made as an object").entry("extras");
+            let extras = material
+                .as_object_mut()
+                .expect("made as an object")
+                .entry("extras");
             if let Some(extras) = extras.or_insert_with(|| json!({})).as_object_mut() {
                 extras.insert("luxel".into(), json!({ "lit_from_material": index }));
             }
@@ -366,7 +399,9 @@ impl<'a> Writer<'a> {
             "magFilter": 9729, "minFilter": 9987, "wrapS": wrap[0], "wrapT": wrap[1],
         });
         let sampler = self.base.push("samplers", sampler);
-        let index = self.base.push("textures", json!({ "source": image, "sampler": sampler }));
+        let index = self
+            .base
+            .push("textures", json!({ "source": image, "sampler": sampler }));
         self.pictures.insert(id, index);
         index
     }
@@ -386,8 +421,15 @@ impl<'a> Writer<'a> {
         let n = positions.len();
         let mut low = Vec3::splat(f32::INFINITY);
         let mut high = Vec3::splat(f32::NEG_INFINITY);
-        let start = [&v.positions, &v.normals, &v.uvs, &v.colours, &v.irradiance, &v.indices]
-            .map(Vec::len);
+        let start = [
+            &v.positions,
+            &v.normals,
+            &v.uvs,
+            &v.colours,
+            &v.irradiance,
+            &v.indices,
+        ]
+        .map(Vec::len);
         for &p in positions {
             (low, high) = (low.min(p), high.max(p));
             put(&mut v.positions, &p.to_array());
@@ -397,19 +439,26 @@ impl<'a> Writer<'a> {
             put(&mut v.normals, &normal.normalize_or(Vec3::Y).to_array());
         }
         for &uv in uvs {
-            put(&mut v.uvs, &uv.to_array().map(|c| if c.is_finite() { c } else { 0.0 }));
+            put(
+                &mut v.uvs,
+                &uv.to_array().map(|c| if c.is_finite() { c } else { 0.0 }),
+            );
         }
         for &c in colours {
             let c = (c * self.scale).map(|b| if b.is_finite() { b.max(0.0) } else { 0.0 });
             // What is too bright keeps its hue.
             let c = c * (1.0 / c.max_band().max(1.0));
             for band in c.to_array() {
-                v.colours.extend(((band * 65535.0 + 0.5) as u16).to_le_bytes());
+                v.colours
+                    .extend(((band * 65535.0 + 0.5) as u16).to_le_bytes());
             }
             v.colours.extend(u16::MAX.to_le_bytes());
         }
         for &e in irradiance {
-            put(&mut v.irradiance, &e.to_array().map(|b| if b.is_finite() { b } else { 0.0 }));
+            put(
+                &mut v.irradiance,
+                &e.to_array().map(|b| if b.is_finite() { b } else { 0.0 }),
+            );
         }
         let mut corners = 0;
         for t in triangles {
@@ -436,13 +485,22 @@ impl<'a> Writer<'a> {
         };
         let mut attributes = Map::new();
         let mut attribute = |name: &str, index: usize| attributes.insert(name.into(), json!(index));
-        attribute("POSITION", accessor(View::Positions, start[0], 5126, "VEC3", n));
+        attribute(
+            "POSITION",
+            accessor(View::Positions, start[0], 5126, "VEC3", n),
+        );
         attribute("NORMAL", accessor(View::Normals, start[1], 5126, "VEC3", n));
         if uvs.len() == n {
             attribute("TEXCOORD_0", accessor(View::Uvs, start[2], 5126, "VEC2", n));
         }
-        attribute("COLOR_0", accessor(View::Colours, start[3], 5123, "VEC4", n));
-        attribute("_IRRADIANCE", accessor(View::Irradiance, start[4], 5126, "VEC3", n));
+        attribute(
+            "COLOR_0",
+            accessor(View::Colours, start[3], 5123, "VEC4", n),
+        );
+        attribute(
+            "_IRRADIANCE",
+            accessor(View::Irradiance, start[4], 5126, "VEC3", n),
+        );
         let indices = accessor(View::Indices, start[5], 5125, "SCALAR", corners);
         json!({ "attributes": attributes, "indices": indices, "material": material })
     }
@@ -457,7 +515,8 @@ fn add_views_and_luminaires(base: &mut Base, scene: &Scene) {
     for view in &scene.views {
         let angle = view.vertical_angle.clamp(0.01, 3.1);
         let perspective = json!({ "yfov": angle, "znear": 0.01 });
-        let camera = json!({ "name": view.name, "type": "perspective", "perspective": perspective });
+        let camera =
+            json!({ "name": view.name, "type": "perspective", "perspective": perspective });
         let camera = base.push("cameras", camera);
         let placed = matrix(view.eye, view.forward, view.up);
         let node = json!({ "name": view.name, "camera": camera, "matrix": placed });
@@ -473,7 +532,11 @@ fn add_views_and_luminaires(base: &mut Base, scene: &Scene) {
             LuminaireKind::Lambertian { intensity } => ("spot", intensity),
         };
         let most = strength.max_band();
-        let colour = if most > 0.0 { strength * (1.0 / most) } else { Rgb::WHITE };
+        let colour = if most > 0.0 {
+            strength * (1.0 / most)
+        } else {
+            Rgb::WHITE
+        };
         let mut light = json!({
             "name": l.name, "type": kind, "intensity": most.max(0.0), "color": colour.to_array(),
         });
@@ -487,7 +550,11 @@ fn add_views_and_luminaires(base: &mut Base, scene: &Scene) {
         }
         let quarter = std::f32::consts::FRAC_PI_2;
         match l.kind {
-            LuminaireKind::Spot { cos_inner, cos_outer, .. } => {
+            LuminaireKind::Spot {
+                cos_inner,
+                cos_outer,
+                ..
+            } => {
                 let outer = cos_outer.clamp(0.0, 1.0).acos().clamp(1e-3, quarter);
                 let inner = cos_inner.clamp(0.0, 1.0).acos().min(outer * 0.999);
                 light["spot"] = json!({ "innerConeAngle": inner, "outerConeAngle": outer });

@@ -13,6 +13,8 @@ use luxel_transport::{Hit, Ray, RayCaster};
 
 /// Height of the eye above the floor, metres.
 const EYE_M: f32 = 1.6;
+/// What is lower than this is a model or an object rather than a room, metres.
+const SMALL_M: f32 = 1.2;
 /// Places tried inside the bounds.
 const PLACES: usize = 96;
 /// Directions tried at each place.
@@ -45,9 +47,14 @@ pub fn auto_view(scene: &Scene, caster: &dyn RayCaster) -> View {
         return named(Vec3::ZERO, forward, up, INSIDE_ANGLE);
     }
     let mut candidates = inside(caster, low, high, up);
+    let within = candidates.len();
     candidates.extend(outside(low, high, up));
     let lamps = lamps(scene);
-    let scores = judge(scene, caster, &candidates, &lamps, size);
+    let mut scores = judge(scene, caster, &candidates, &lamps, size);
+    if (high - low).dot(up).abs() < SMALL_M {
+        // Nobody stands in a model; but a closed one shows nothing from outside.
+        scores[..within].iter_mut().for_each(|s| *s *= 0.5);
+    }
     let mut best = 0;
     for k in 1..candidates.len() {
         if scores[k] > scores[best] {
@@ -85,6 +92,7 @@ fn halton(mut k: usize, base: usize) -> f32 {
 
 /// Eyes that stand on a floor with a wall behind.
 fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> {
+    let size = (high - low).length();
     let across = up.any_orthonormal_vector();
     let along = up.cross(across);
     let points: Vec<Vec3> = (1..=PLACES)
@@ -97,10 +105,11 @@ fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> 
         if !found[0].is_hit() {
             continue;
         }
-        // Under a low ceiling, or in a small model, a little above the middle.
+        // In a small model a little above the middle; in a hall, or a file in another unit, not
+        // with the chin on the floor.
         let clear = found[0].t + if found[1].is_hit() { found[1].t } else { f32::INFINITY };
         let tall = clear.min((high - low).dot(up).abs());
-        eyes.push(p - up * found[0].t + up * EYE_M.min(0.55 * tall));
+        eyes.push(p - up * (found[0].t - EYE_M.max(0.15 * tall).min(0.55 * tall)));
     }
     let turn = |k: usize| {
         // Not along the axes: two walls in view show more than one.
@@ -118,7 +127,7 @@ fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> 
                 continue;
             }
             // Half a metre before the wall, or a seventh of the way in a small model.
-            let back = wall - (wall / 7.0).min(0.5);
+            let back = wall - (wall / 7.0).min(0.5f32.max(0.02 * size));
             let forward = (turn(k) - up * 0.12).normalize();
             views.push(named(eye - turn(k) * back, forward, up, INSIDE_ANGLE));
         }
@@ -131,7 +140,8 @@ fn outside(low: Vec3, high: Vec3, up: Vec3) -> Vec<View> {
     let across = up.any_orthonormal_vector();
     let along = up.cross(across);
     let (centre, radius) = (0.5 * (low + high), 0.5 * (high - low).length());
-    let distance = 1.02 * radius / (0.5 * OUTSIDE_ANGLE).sin();
+    // The corners of the bounds are rarely where the object is.
+    let distance = 0.9 * radius / (0.5 * OUTSIDE_ANGLE).sin();
     let mut views = Vec::new();
     for k in 0..AROUND {
         let angle = k as f32 * std::f32::consts::TAU / AROUND as f32;
@@ -223,14 +233,16 @@ fn judge(
     let mut free = vec![1.0; shadow.len()];
     caster.visibility(&shadow, &mut free);
     let mut scores = Vec::with_capacity(views.len());
-    for v in 0..views.len() {
-        let n = GRID[0] * GRID[1];
+    let n = GRID[0] * GRID[1];
+    // From here on a thing can be looked at well.
+    let comfortable = 0.8f32.max(0.03 * size).min(0.1 * size);
+    for (v, view) in views.iter().enumerate() {
         let (mut sum, mut seen) = (0.0, Vec::with_capacity(n));
         for k in v * n..(v + 1) * n {
             let hit = &hits[k];
             if !hit.is_hit() {
-                // Empty: neither lit nor ugly. A sky is worth a look.
-                sum += if scene.sky.is_some() { 0.15 } else { 0.05 };
+                // Empty: neither lit nor ugly. Around an object there is much of it.
+                sum += if view.vertical_angle == OUTSIDE_ANGLE { 0.25 } else { 0.1 };
                 continue;
             }
             let triangle = hit.triangle as usize;
@@ -241,9 +253,8 @@ fn judge(
             }
             let lit = free[k * lamps.len()..(k + 1) * lamps.len()].iter().any(|&f| f > 0.5);
             let worth = if lit || finish.emission.is_some() { 1.0 } else { 0.3 };
-            // From half a metre (or a twentieth of a small model) on it can be looked at well,
-            // and depth is better than a wall in the face.
-            let near = (hit.t / 0.8f32.min(0.1 * size)).min(1.0);
+            // Depth is better than a wall in the face.
+            let near = (hit.t / comfortable).min(1.0);
             let deep = (hit.t / (0.5 * size)).min(1.0);
             sum += worth * near * (0.5 + 0.5 * deep);
             seen.push(scene.surface_of[triangle]);

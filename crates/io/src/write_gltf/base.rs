@@ -53,8 +53,15 @@ pub(super) struct Base {
 impl Base {
     /// Nothing but a scene without nodes.
     pub fn fresh() -> Base {
-        let json = json!({ "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [] }] });
-        Base { json, binary: Vec::new(), old_meshes: Vec::new(), scene: 0, old_materials: 0 }
+        let json =
+            json!({ "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [] }] });
+        Base {
+            json,
+            binary: Vec::new(),
+            old_meshes: Vec::new(),
+            scene: 0,
+            old_materials: 0,
+        }
     }
 
     /// The source without its meshes, in metres.
@@ -71,7 +78,16 @@ impl Base {
         for key in ["meshes", "skins"] {
             root.remove(key);
         }
-        for key in ["nodes", "scenes", "materials", "textures", "images", "samplers", "accessors", "bufferViews"] {
+        for key in [
+            "nodes",
+            "scenes",
+            "materials",
+            "textures",
+            "images",
+            "samplers",
+            "accessors",
+            "bufferViews",
+        ] {
             // A list that is none cannot be added to.
             if root.get(key).is_some_and(|v| !v.is_array()) {
                 root.remove(key);
@@ -79,7 +95,9 @@ impl Base {
         }
         let old_materials = list(root, "materials").len();
         for node in list_mut(root, "nodes") {
-            let Some(node) = node.as_object_mut() else { continue };
+            let Some(node) = node.as_object_mut() else {
+                continue;
+            };
             for key in ["mesh", "skin", "weights"] {
                 node.remove(key);
             }
@@ -90,8 +108,13 @@ impl Base {
                 }
             }
         }
-        let mut base =
-            Base { json, binary: Vec::new(), old_meshes, scene: 0, old_materials };
+        let mut base = Base {
+            json,
+            binary: Vec::new(),
+            old_meshes,
+            scene: 0,
+            old_materials,
+        };
         base.choose_scene();
         base.keep_data(source);
         base.drop_geometric_extensions();
@@ -110,7 +133,12 @@ impl Base {
             let nodes = self.json["nodes"].as_array().map_or(0, Vec::len);
             let mut is_child = vec![false; nodes];
             for node in self.json["nodes"].as_array().into_iter().flatten() {
-                for child in node["children"].as_array().into_iter().flatten().filter_map(as_whole) {
+                for child in node["children"]
+                    .as_array()
+                    .into_iter()
+                    .flatten()
+                    .filter_map(as_whole)
+                {
                     if let Some(slot) = is_child.get_mut(child) {
                         *slot = true;
                     }
@@ -136,7 +164,9 @@ impl Base {
         let old = &source.json;
         let used = |key: &str| -> Vec<String> {
             let names = old[key].as_array().into_iter().flatten();
-            names.filter_map(|v| v.as_str().map(str::to_owned)).collect()
+            names
+                .filter_map(|v| v.as_str().map(str::to_owned))
+                .collect()
         };
         let names = used("extensionsUsed");
         let compressed = names.iter().any(|n| n.ends_with("meshopt_compression"));
@@ -149,7 +179,10 @@ impl Base {
         let views = old["bufferViews"].as_array().cloned().unwrap_or_default();
         let mut keep_accessor = vec![keep_all; accessors.len()];
         if compressed {
-            self.json.as_object_mut().expect("an object").remove("animations");
+            self.json
+                .as_object_mut()
+                .expect("an object")
+                .remove("animations");
         }
         for sampler in samplers(&mut self.json) {
             for key in ["input", "output"] {
@@ -178,7 +211,9 @@ impl Base {
         for (k, view) in views.iter().enumerate().filter(|x| keep_view[x.0]) {
             let bytes = view_bytes(source, view);
             let mut view = view.clone();
-            let Some(object) = view.as_object_mut() else { continue };
+            let Some(object) = view.as_object_mut() else {
+                continue;
+            };
             object.insert("buffer".into(), json!(0));
             object.insert("byteOffset".into(), json!(self.binary.len()));
             object.insert("byteLength".into(), json!(bytes.len().max(1)));
@@ -234,7 +269,9 @@ impl Base {
         if old["uri"].as_str().is_some_and(|u| u.starts_with("data:")) {
             return;
         }
-        if let Some(view) = as_whole(&old["bufferView"]).and_then(|v| new_view.get(v).copied().flatten()) {
+        if let Some(view) =
+            as_whole(&old["bufferView"]).and_then(|v| new_view.get(v).copied().flatten())
+        {
             self.json["images"][k]["bufferView"] = json!(view);
             return;
         }
@@ -307,7 +344,10 @@ impl Base {
     /// Shows a node at the top of the scene.
     pub fn add_root(&mut self, node: usize) {
         let nodes = &mut self.json["scenes"][self.scene]["nodes"];
-        nodes.as_array_mut().expect("choose_scene saw to it").push(json!(node));
+        nodes
+            .as_array_mut()
+            .expect("choose_scene saw to it")
+            .push(json!(node));
     }
 
     /// Adds a punctual light; answers with its index.
@@ -337,11 +377,15 @@ impl Base {
     /// Adds a picture file to the buffer; answers with the image's index.
     pub fn add_image(&mut self, name: &str, mime: &str, bytes: &[u8]) -> usize {
         let view = self.add_bytes(bytes);
-        self.push("images", json!({ "name": name, "mimeType": mime, "bufferView": view }))
+        self.push(
+            "images",
+            json!({ "name": name, "mimeType": mime, "bufferView": view }),
+        )
     }
 
     fn add_bytes(&mut self, bytes: &[u8]) -> usize {
-        let view = json!({ "buffer": 0, "byteOffset": self.binary.len(), "byteLength": bytes.len() });
+        let view =
+            json!({ "buffer": 0, "byteOffset": self.binary.len(), "byteLength": bytes.len() });
         self.append(bytes);
         self.push("bufferViews", view)
     }
@@ -433,8 +477,22 @@ impl Base {
     pub fn into_glb(mut self) -> io::Result<Vec<u8>> {
         let root = self.json.as_object_mut().expect("an object");
         // The format forbids empty lists.
-        for key in ["accessors", "animations", "bufferViews", "cameras", "images", "materials", "meshes", "nodes", "samplers", "textures"] {
-            if root.get(key).is_some_and(|v| v.as_array().is_none_or(Vec::is_empty)) {
+        for key in [
+            "accessors",
+            "animations",
+            "bufferViews",
+            "cameras",
+            "images",
+            "materials",
+            "meshes",
+            "nodes",
+            "samplers",
+            "textures",
+        ] {
+            if root
+                .get(key)
+                .is_some_and(|v| v.as_array().is_none_or(Vec::is_empty))
+            {
                 root.shift_remove(key);
             }
         }
@@ -445,13 +503,18 @@ impl Base {
                 }
             }
         }
-        root.insert("buffers".into(), json!([{ "byteLength": self.binary.len() }]));
+        root.insert(
+            "buffers".into(),
+            json!([{ "byteLength": self.binary.len() }]),
+        );
         let mut text = serde_json::to_vec(&self.json)?;
         text.resize(text.len().next_multiple_of(4), b' ');
         let total = 12 + 8 + text.len() + 8 + self.binary.len();
         let length = |n: usize| {
             u32::try_from(n).map_err(|_| {
-                io::Error::other(format!("the lit scene takes {n} bytes; a GLB file holds 4 GiB"))
+                io::Error::other(format!(
+                    "the lit scene takes {n} bytes; a GLB file holds 4 GiB"
+                ))
             })
         };
         let mut out = Vec::with_capacity(total);
@@ -479,11 +542,15 @@ fn samplers(json: &mut Value) -> impl Iterator<Item = &mut Value> {
 }
 
 fn list<'a>(root: &'a Map<String, Value>, key: &str) -> &'a [Value] {
-    root.get(key).and_then(Value::as_array).map_or(&[], Vec::as_slice)
+    root.get(key)
+        .and_then(Value::as_array)
+        .map_or(&[], Vec::as_slice)
 }
 
 fn list_mut<'a>(root: &'a mut Map<String, Value>, key: &str) -> &'a mut [Value] {
-    root.get_mut(key).and_then(Value::as_array_mut).map_or(&mut [], Vec::as_mut_slice)
+    root.get_mut(key)
+        .and_then(Value::as_array_mut)
+        .map_or(&mut [], Vec::as_mut_slice)
 }
 
 /// Bytes of a buffer view of the source; fewer, or none, where the file lacks them.
@@ -491,7 +558,9 @@ fn view_bytes<'a>(source: &'a GltfSource, view: &Value) -> &'a [u8] {
     let buffer = as_whole(&view["buffer"]).and_then(|b| source.buffers.get(b));
     let bytes = buffer.map_or(&[][..], Vec::as_slice);
     let start = as_whole(&view["byteOffset"]).unwrap_or(0).min(bytes.len());
-    let length = as_whole(&view["byteLength"]).unwrap_or(0).min(bytes.len() - start);
+    let length = as_whole(&view["byteLength"])
+        .unwrap_or(0)
+        .min(bytes.len() - start);
     &bytes[start..start + length]
 }
 
@@ -499,7 +568,11 @@ fn view_bytes<'a>(source: &'a GltfSource, view: &Value) -> &'a [u8] {
 pub(super) fn matrix(eye: Vec3, forward: Vec3, up: Vec3) -> [f32; 16] {
     let back = -forward.normalize_or(-Vec3::Z);
     let right = up.cross(back).normalize_or_zero();
-    let right = if right == Vec3::ZERO { back.any_orthonormal_vector() } else { right };
+    let right = if right == Vec3::ZERO {
+        back.any_orthonormal_vector()
+    } else {
+        right
+    };
     let up = back.cross(right);
     [
         right.x, right.y, right.z, 0.0, up.x, up.y, up.z, 0.0, back.x, back.y, back.z, 0.0, eye.x,
@@ -513,7 +586,13 @@ pub(super) fn png(rgba: &[u8], width: u32, height: u32) -> Vec<u8> {
     let mut bytes = Vec::new();
     let encoder =
         PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Adaptive);
-    image::ImageEncoder::write_image(encoder, rgba, width, height, image::ExtendedColorType::Rgba8)
-        .expect("a texture has as many texels as its size says, and memory can be written");
+    image::ImageEncoder::write_image(
+        encoder,
+        rgba,
+        width,
+        height,
+        image::ExtendedColorType::Rgba8,
+    )
+    .expect("a texture has as many texels as its size says, and memory can be written");
     bytes
 }

@@ -1,0 +1,162 @@
+//! The commands: from arguments to the library and back to the terminal.
+
+use crate::arguments::{Arguments, Command, Common, Inspect, Light, Probe, Verify, settings};
+use crate::terminal;
+use luxel::{Control, LightJob, Session, points};
+use std::io::{Read, Write};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Longest list of receivers that is read, bytes.
+const LONGEST_LIST: u64 = 1 << 30;
+
+/// How a command ended when nothing failed.
+pub enum Outcome {
+    /// What was asked for was reached.
+    Done,
+    /// Files are written, but the asked accuracy was not met, or a case failed.
+    Short,
+}
+
+impl Outcome {
+    /// 0 or 1, as `--help` says.
+    pub fn exit_code(&self) -> ExitCode {
+        match self {
+            Outcome::Done => ExitCode::SUCCESS,
+            Outcome::Short => ExitCode::from(1),
+        }
+    }
+
+    fn of(reached: bool) -> Outcome {
+        if reached { Outcome::Done } else { Outcome::Short }
+    }
+}
+
+/// Runs a command.
+pub fn run(arguments: Arguments) -> Result<Outcome, String> {
+    match arguments.command {
+        Command::Light(light) => self::light(&light),
+        Command::Probe(probe) => self::probe(&probe),
+        Command::Inspect(inspect) => self::inspect(&inspect),
+        Command::Verify(verify) => self::verify(&verify),
+    }
+}
+
+fn threads(common: &Common) -> Result<(), String> {
+    luxel::use_threads(common.threads).map_err(|e| format!("--threads {}: {e}", common.threads))
+}
+
+/// Set by Ctrl-C. A second Ctrl-C ends the program at once.
+fn stop_on_interrupt() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let seen = stop.clone();
+    // Without a handler Ctrl-C ends the program as usual: nothing is lost but the last stretch.
+    let _ = ctrlc::set_handler(move || {
+        if seen.swap(true, Ordering::SeqCst) {
+            std::process::exit(130);
+        }
+    });
+    stop
+}
+
+fn print(text: &str) -> Result<(), String> {
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        // The reader of a pipe has what it wanted.
+        Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other.map_err(|e| format!("standard output: {e}")),
+    }
+}
+
+fn light(arguments: &Light) -> Result<Outcome, String> {
+    threads(&arguments.common)?;
+    let stop = stop_on_interrupt();
+    let mut progress = terminal::Progress::new(arguments.common.quiet);
+    let job = LightJob {
+        scene: arguments.scene.scene.clone(),
+        output: arguments.output.clone(),
+        resume: arguments.resume,
+        view: arguments.view.clone(),
+        settings: settings(&arguments.scene, Some(&arguments.solve), &arguments.common),
+    };
+    let outcome = luxel::light(&job, &mut |status| {
+        progress.show(status);
+        if stop.load(Ordering::SeqCst) { Control::Stop } else { Control::Go }
+    });
+    progress.end();
+    let outcome = outcome.map_err(|e| e.to_string())?;
+    if arguments.common.json {
+        print(&(outcome.report_json + "\n"))?;
+    } else if !arguments.common.quiet {
+        print(&outcome.table)?;
+    }
+    Ok(Outcome::of(outcome.reached))
+}
+
+fn probe(arguments: &Probe) -> Result<Outcome, String> {
+    threads(&arguments.common)?;
+    let (place, text) = if arguments.points == "-" {
+        ("standard input".to_string(), read_bounded(std::io::stdin().lock()))
+    } else {
+        let file = std::fs::File::open(&arguments.points)
+            .map_err(|e| format!("{}: {e}", arguments.points))?;
+        (arguments.points.clone(), read_bounded(file))
+    };
+    let text = text.map_err(|e| format!("{place}: {e}"))?;
+    let receivers = points::parse(&place, &text)?;
+    let stop = stop_on_interrupt();
+    let settings = settings(&arguments.scene, Some(&arguments.solve), &arguments.common);
+    let mut progress = terminal::Progress::new(arguments.common.quiet);
+    let mut session =
+        Session::open(&arguments.scene.scene, &settings).map_err(|e| e.to_string())?;
+    let answer = luxel::probe(&mut session, &receivers, &mut |status| {
+        progress.show(status);
+        if stop.load(Ordering::SeqCst) { Control::Stop } else { Control::Go }
+    });
+    progress.end();
+    if !arguments.common.quiet {
+        for warning in session.warnings().iter() {
+            eprintln!("warning: {warning}");
+        }
+    }
+    if arguments.common.json {
+        print(&(points::json(&receivers, &answer.irradiance, session.layers()).to_string() + "\n"))?;
+    } else {
+        print(&points::table(&receivers, &answer.irradiance))?;
+    }
+    Ok(Outcome::of(answer.reached))
+}
+
+fn read_bounded(source: impl Read) -> Result<String, String> {
+    let mut text = String::new();
+    source.take(LONGEST_LIST).read_to_string(&mut text).map_err(|e| e.to_string())?;
+    Ok(text)
+}
+
+fn inspect(arguments: &Inspect) -> Result<Outcome, String> {
+    threads(&arguments.common)?;
+    let settings = settings(&arguments.scene, None, &arguments.common);
+    let found = luxel::inspect(&arguments.scene.scene, &settings).map_err(|e| e.to_string())?;
+    if arguments.common.json {
+        let json = serde_json::to_string_pretty(&found).map_err(|e| e.to_string())?;
+        print(&(json + "\n"))?;
+    } else {
+        print(&found.to_string())?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn verify(arguments: &Verify) -> Result<Outcome, String> {
+    threads(&arguments.common)?;
+    let mut failed = None;
+    let passed = luxel::verify::run(arguments.cases.as_deref(), &mut |line| {
+        if let Err(e) = print(&format!("{line}\n")) {
+            failed.get_or_insert(e);
+        }
+    })
+    .map_err(|e| e.to_string())?;
+    match failed {
+        Some(e) => Err(e),
+        None => Ok(Outcome::of(passed)),
+    }
+}

@@ -1,0 +1,88 @@
+//! What the terminal shows: a progress bar, plain lines when it is no terminal, one error line.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use luxel::{Stage, Status};
+use std::io::IsTerminal;
+use std::time::{Duration, Instant};
+
+/// Plain lines come at most this often.
+const LINE_EVERY: Duration = Duration::from_secs(2);
+
+/// Prints an error as one line.
+pub fn error(message: &str) {
+    let line = message.replace(['\n', '\r'], " ");
+    eprintln!("luxel: {line}");
+}
+
+/// Shows how far a job is.
+pub enum Progress {
+    /// `--quiet`.
+    Silent,
+    /// A bar on a terminal.
+    Bar(ProgressBar),
+    /// One line now and then.
+    Lines {
+        /// Stage of the last line.
+        stage: Option<Stage>,
+        /// When it was printed.
+        last: Instant,
+    },
+}
+
+impl Progress {
+    /// Chooses by where standard error goes.
+    pub fn new(quiet: bool) -> Progress {
+        if quiet {
+            return Progress::Silent;
+        }
+        if !std::io::stderr().is_terminal() {
+            return Progress::Lines { stage: None, last: Instant::now() };
+        }
+        let bar = ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr());
+        let style = ProgressStyle::with_template("{prefix:>12} [{bar:32}] {msg}")
+            .expect("the template is fixed")
+            .progress_chars("=> ");
+        bar.set_style(style);
+        Progress::Bar(bar)
+    }
+
+    /// Takes in a new status.
+    pub fn show(&mut self, status: &Status) {
+        match self {
+            Progress::Silent => {}
+            Progress::Bar(bar) => {
+                bar.set_prefix(status.stage.name());
+                bar.set_position((status.share.clamp(0.0, 1.0) * 1000.0) as u64);
+                bar.set_message(words(status));
+            }
+            Progress::Lines { stage, last } => {
+                if *stage != Some(status.stage) || last.elapsed() > LINE_EVERY {
+                    eprintln!("{:>12}: {}", status.stage.name(), words(status));
+                    *stage = Some(status.stage);
+                    *last = Instant::now();
+                }
+            }
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn end(self) {
+        if let Progress::Bar(bar) = self {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn words(status: &Status) -> String {
+    let mut words = format!("{:3.0} %", 100.0 * status.share);
+    if let Some(unshot) = status.unshot {
+        words += &format!(", {:.2} % unshot", 100.0 * unshot);
+    }
+    if let Some(error) = status.error.filter(|e| e.is_finite()) {
+        words += &format!(", error {:.2} %", 100.0 * error);
+    }
+    if let Some(left) = status.left_s.filter(|s| s.is_finite()) {
+        words += &format!(", {left:.0} s left");
+    }
+    words
+}

@@ -1,0 +1,277 @@
+//! The main job: light a scene file and write everything that comes of it.
+//!
+//! `SCENE.lit/` holds `scene.glb`, `preview.png`, `report.json` and `solution.luxel`. Each file
+//! is written beside its place and moved there, so at any moment what is there is whole.
+
+use crate::energy::energy;
+use crate::error::Error;
+use crate::session::Session;
+use crate::settings::Settings;
+use crate::stage::{Stage, peak_memory_bytes};
+use crate::watch::{Status, Watch};
+use crate::work::{self, End};
+use luxel_core::{Solution, View};
+use luxel_gather::{Accuracy, Irradiance};
+use luxel_io::{LitPrimitive, LitScale, StoredSolution};
+use luxel_visualise::report::{self, Report, State};
+use luxel_visualise::preview::render;
+use luxel_visualise::tone::linear_scale;
+use luxel_visualise::{Exposure, LitMesh, LitPart, PreviewSettings};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Name of the solution file in the output folder.
+const SOLUTION: &str = "solution.luxel";
+
+/// The first picture, of an unfinished solution, is made with this many rays a vertex.
+const FIRST_RAYS: u32 = 16;
+
+/// A scene with more vertices than this shows its first picture only when it is finished.
+const FIRST_VERTICES: usize = 150_000;
+
+/// The solution is stored at most this often while it is being solved.
+const STORE_EVERY: Duration = Duration::from_secs(20);
+
+/// What to light and where to put it.
+#[derive(Clone, Debug)]
+pub struct LightJob {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// Folder to write; `None` is `SCENE.lit` beside the scene.
+    pub output: Option<PathBuf>,
+    /// Whether to go on from the solution that is there.
+    pub resume: bool,
+    /// View of the preview, by name.
+    pub view: Option<String>,
+    /// Everything else.
+    pub settings: Settings,
+}
+
+/// What came of it.
+pub struct Outcome {
+    /// Folder with the files.
+    pub folder: PathBuf,
+    /// Whether the asked accuracy was reached.
+    pub reached: bool,
+    /// The report.
+    pub report: Report,
+    /// The report as JSON, as written.
+    pub report_json: String,
+    /// A short table for people.
+    pub table: String,
+}
+
+/// Lights a scene file. `watch` is told of every step and may stop the job, which then ends with
+/// valid files and a solution that can be resumed.
+pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
+    let folder = job.output.clone().unwrap_or_else(|| job.scene.with_extension("lit"));
+    watch(&Status::begin(Stage::Read));
+    let mut session = Session::open(&job.scene, &job.settings)?;
+    let view = choose_view(&session, job.view.as_deref())?;
+    make_folder(&folder)?;
+    let stored_at = folder.join(SOLUTION);
+    let fingerprint = fingerprint(&session, &job.settings);
+    if job.resume {
+        let stored = luxel_io::read_solution(&stored_at, fingerprint, session.front().len())?;
+        session.resume(&stored.solution);
+    }
+
+    let elements = session.front().len();
+    let mut mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
+    session.clock_mut().end(Stage::Mesh);
+    let mut shown = false;
+    let mut stored = Instant::now();
+    let mut failure = None;
+    let solved = work::solve(&mut session, watch, |session| {
+        if !shown && mesh.positions.len() <= FIRST_VERTICES {
+            shown = true;
+            let written = first_picture(session, &mut mesh, &view, &folder);
+            failure = failure.take().or(written.err());
+        }
+        if stored.elapsed() > STORE_EVERY {
+            stored = Instant::now();
+            let written = store(session, &session.solution(), &stored_at, fingerprint);
+            failure = failure.take().or(written.err());
+        }
+    });
+    if let Some(error) = failure {
+        return Err(error);
+    }
+    let solution = session.solution();
+    store(&session, &solution, &stored_at, fingerprint)?;
+    session.clock_mut().end(Stage::Write);
+
+    if elements != session.front().len() {
+        // The mesh was refined on the way.
+        mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
+        session.clock_mut().end(Stage::Mesh);
+    }
+    let accuracy = session.accuracy(&solution);
+    let receivers = std::mem::take(&mut mesh.receivers);
+    let (irradiance, gathered) = work::gather(
+        &mut session,
+        &solution,
+        &receivers,
+        &accuracy,
+        watch,
+        solved == End::Stopped && job.settings.time.is_none(),
+    );
+    mesh.receivers = receivers;
+    mesh.set_irradiance(&irradiance);
+
+    watch(&Status::begin(Stage::Write));
+    let stopped = solved == End::Stopped || gathered == End::Stopped;
+    let exposure = write_picture(&session, &mesh, &view, &folder)?;
+    write_lit_scene(&session, &mesh, &folder.join("scene.glb"))?;
+    let report =
+        make_report(job, &mut session, &solution, &mesh, &irradiance, &exposure, stopped);
+    let report_json = report.to_json();
+    write(&folder.join("report.json"), report_json.as_bytes())?;
+    let table = format!("{}\nwritten to {}\n", report::table(&report).trim_end(), folder.display());
+    let reached = report.state == State::Finished;
+    Ok(Outcome { folder, reached, report, report_json, table })
+}
+
+fn make_folder(folder: &Path) -> Result<(), Error> {
+    std::fs::create_dir_all(folder)
+        .map_err(|source| Error::Write { path: folder.to_owned(), source })
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    luxel_io::write_atomic(path, bytes).map_err(|source| Error::Write { path: path.to_owned(), source })
+}
+
+fn choose_view(session: &Session, name: Option<&str>) -> Result<View, Error> {
+    let scene = session.scene();
+    match name {
+        None => Ok(luxel_visualise::first_view(scene, session.caster())),
+        Some(name) => scene.views.iter().find(|v| v.name == name).cloned().ok_or_else(|| {
+            let known: Vec<&str> = scene.views.iter().map(|v| v.name.as_str()).collect();
+            Error::Setting(format!(
+                "--view {name}: expected one of the scene's views ({}), found none of that name",
+                if known.is_empty() { "it has none".into() } else { known.join(", ") }
+            ))
+        }),
+    }
+}
+
+/// A picture within the first second: what the first steps found, with the ambient term.
+fn first_picture(session: &mut Session, mesh: &mut LitMesh, view: &View, folder: &Path) -> Result<(), Error> {
+    let displayed = session.displayed();
+    let accuracy = Accuracy { rays: [FIRST_RAYS; 2], ..session.accuracy(&displayed) };
+    let irradiance = session.irradiance_at(&displayed, &mesh.receivers, &accuracy);
+    mesh.set_irradiance(&irradiance);
+    let written = write_picture(session, mesh, view, folder);
+    session.clock_mut().end(Stage::Write);
+    written.map(|_| ())
+}
+
+/// Writes the picture and answers how it was exposed.
+fn write_picture(session: &Session, mesh: &LitMesh, view: &View, folder: &Path) -> Result<Exposure, Error> {
+    let (picture, exposure) = render(session.scene(), mesh, view, &PreviewSettings::default());
+    let path = folder.join("preview.png");
+    let png = picture.png().map_err(|e| Error::Write { path: path.clone(), source: std::io::Error::other(e) })?;
+    write(&path, &png)?;
+    Ok(exposure)
+}
+
+fn store(session: &Session, solution: &Solution, path: &Path, fingerprint: u64) -> Result<(), Error> {
+    let stored = StoredSolution { fingerprint, step: session.progress().step, solution: solution.clone() };
+    luxel_io::write_solution(path, &stored)
+        .map_err(|source| Error::Write { path: path.to_owned(), source })
+}
+
+/// Tells one scene with one set of settings from another, so that a solution is never resumed
+/// on elements that it does not belong to.
+fn fingerprint(session: &Session, settings: &Settings) -> u64 {
+    luxel_io::fingerprint(session.scene(), session.front(), &[settings.mesh.name(), settings.solver.name()], settings.seed)
+}
+
+fn write_lit_scene(session: &Session, mesh: &LitMesh, path: &Path) -> Result<(), Error> {
+    let primitives: Vec<LitPrimitive<'_>> =
+        mesh.parts.iter().map(|part| lit_primitive(mesh, part)).collect();
+    let scale = LitScale { colour_per_lux: linear_scale(mesh) };
+    luxel_io::write_lit_glb(session.scene(), session.source(), &primitives, &scale, path)
+        .map_err(|source| Error::Write { path: path.to_owned(), source })
+}
+
+fn lit_primitive<'a>(mesh: &'a LitMesh, part: &LitPart) -> LitPrimitive<'a> {
+    let vertices = part.vertices.start as usize..part.vertices.end as usize;
+    LitPrimitive {
+        surface: part.surface,
+        side: part.side,
+        positions: &mesh.positions[vertices.clone()],
+        normals: &mesh.normals[vertices.clone()],
+        uvs: mesh.uvs.get(vertices.clone()).unwrap_or(&[]),
+        irradiance: &mesh.irradiance[vertices],
+        triangles: &mesh.triangles[part.triangles.start as usize..part.triangles.end as usize],
+        first_vertex: part.vertices.start,
+    }
+}
+
+fn make_report(
+    job: &LightJob,
+    session: &mut Session,
+    solution: &Solution,
+    mesh: &LitMesh,
+    irradiance: &Irradiance,
+    exposure: &Exposure,
+    stopped: bool,
+) -> Report {
+    let asked = job.settings.error;
+    let elements = solution.relative_error as f64;
+    let vertices = report::relative_error(mesh);
+    let reached = vertices.unwrap_or(0.0).max(elements);
+    let progress = session.progress();
+    let energy = energy(session, solution);
+    session.clock_mut().end(Stage::Write);
+    let clock = session.clock_mut().clone();
+    let stages = Stage::ALL.into_iter().filter(|&s| clock.of(s).wall > 0.0).map(|stage| {
+        let seconds = clock.of(stage);
+        report::Stage {
+            name: stage.name().into(),
+            wall_s: seconds.wall,
+            cpu_s: (seconds.cpu > 0.0).then_some(seconds.cpu),
+        }
+    });
+    let state = match (stopped, reached <= asked) {
+        (_, true) => State::Finished,
+        (true, false) => State::Stopped,
+        (false, false) => State::NotMet,
+    };
+    Report {
+        format: report::FORMAT,
+        generator: concat!("luxel ", env!("CARGO_PKG_VERSION")).into(),
+        scene: job.scene.display().to_string(),
+        state,
+        accuracy: report::Accuracy {
+            asked,
+            reached: Some(reached),
+            elements: Some(elements),
+            vertices,
+            unshot_share: Some(solution.unshot_share as f64),
+        },
+        energy,
+        counts: report::Counts {
+            triangles: session.scene().triangles.len() as u64,
+            surfaces: session.scene().surfaces.len() as u64,
+            elements: session.front().len() as u64,
+            vertices: mesh.positions.len() as u64,
+            solver_work: solution.work,
+            gather_rays: irradiance.rays,
+            steps: progress.step as u64,
+            groups: session.layers().groups.len() as u64,
+            threads: rayon::current_num_threads() as u64,
+        },
+        stages: stages.collect(),
+        memory_peak_bytes: Some(peak_memory_bytes()).filter(|&b| b > 0),
+        exposure: Some(report::Exposure {
+            ev100: exposure.ev100() as f64,
+            scale_per_cd_m2: exposure.scale as f64,
+        }),
+        surfaces: report::surface_statistics(session.scene(), mesh),
+        warnings: report::oddities(session.warnings()),
+        settings: job.settings.to_json(),
+        seed: job.settings.seed,
+    }
+}

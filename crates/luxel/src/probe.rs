@@ -1,0 +1,30 @@
+//! Illuminance at points: solve, then gather at the receivers.
+
+use crate::session::Session;
+use crate::watch::Watch;
+use crate::work::{self, End};
+use luxel_gather::{Irradiance, Receiver};
+
+/// What was found at the receivers.
+pub struct Answer {
+    /// Irradiance, one entry a receiver, in the order given.
+    pub irradiance: Irradiance,
+    /// Whether every receiver has the asked accuracy.
+    pub reached: bool,
+}
+
+/// Solves the session as far as asked and gathers at `receivers`.
+pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_>) -> Answer {
+    let solved = work::solve(session, watch, |_| ());
+    let solution = session.solution();
+    let accuracy = session.accuracy(&solution);
+    let (irradiance, gathered) =
+        work::gather(session, &solution, receivers, &accuracy, watch, false);
+    let columns = irradiance.columns;
+    let met = irradiance.errors.iter().enumerate().all(|(k, &error)| {
+        let row = &irradiance.values[k * columns..(k + 1) * columns];
+        let value = luxel_core::layers::luminance(row);
+        error <= (accuracy.relative * value).max(accuracy.floor_lux)
+    });
+    Answer { irradiance, reached: met && solved == End::Reached && gathered == End::Reached }
+}

@@ -1,0 +1,402 @@
+//! A session: one scene from file to solution, step by step, and the answers asked of it.
+//!
+//! model environment -> surface meshing -> form factors -> solve -> gather. This is the only
+//! place where a mesh strategy and a solver are named together; they meet in the four shared
+//! records alone.
+
+use crate::error::Error;
+use crate::matter::Matter;
+use crate::settings::Settings;
+use crate::stage::{Clock, Stage};
+use luxel_core::{Front, Layers, Scene, Solution, Warnings};
+use luxel_gather::{Accuracy, DirectLights, ElementDirect, Gatherer, Irradiance, Receiver};
+use luxel_io::{Document, Source, scene_ops};
+use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
+use luxel_solve::{Progress, Solver, SolverSettings, Transport};
+use luxel_transport::{Bvh, FrontLines, Matrix, MatrixSettings, RayCaster};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Refinements of an adaptive mesh before it is taken as it is.
+const MOST_REFINEMENTS: u32 = 4;
+
+/// A receiver darker than this share of the scene's mean needs no relative accuracy of its own.
+const DARK: f32 = 0.002;
+
+/// A scene being solved.
+///
+/// An iterator of [`Progress`]: each `next` does one step of the solver, and the iteration ends
+/// when the asked accuracy is reached. It may be left and taken up at any step.
+///
+/// ```no_run
+/// use luxel::{Session, Settings};
+/// let mut session = Session::open("scenes/two-rooms.glb".as_ref(), &Settings::default())?;
+/// for progress in session.by_ref() {
+///     println!("{:.1} % unshot", 100.0 * progress.unshot_share);
+/// }
+/// # Ok::<(), luxel::Error>(())
+/// ```
+pub struct Session {
+    settings: Settings,
+    scene: Arc<Scene>,
+    source: Option<Source>,
+    warnings: Warnings,
+    caster: Bvh,
+    strategy: Box<dyn Strategy>,
+    front: Front,
+    lights: DirectLights,
+    matter: Matter,
+    factors: Option<Matrix>,
+    solver: Box<dyn Solver>,
+    progress: Progress,
+    refinements: u32,
+    clock: Clock,
+}
+
+/// Reads a scene and adds the light that the settings name.
+pub fn read(path: &Path, settings: &Settings) -> Result<Document, Error> {
+    let mut read = settings.read.clone();
+    read.memory_limit = settings.memory;
+    let mut document = luxel_io::read(path, &read)?;
+    let scene = &mut document.scene;
+    for lamp in &settings.lamps {
+        scene_ops::add_lamp(scene, lamp).map_err(|e| Error::Setting(format!("--lamp {lamp}: {e}")))?;
+    }
+    for emit in &settings.emit {
+        scene_ops::set_emission(scene, emit)
+            .map_err(|e| Error::Setting(format!("--emit {emit}: {e}")))?;
+    }
+    if let Some(sky) = &settings.sky {
+        scene_ops::set_sky(scene, sky).map_err(|e| Error::Setting(format!("--sky {sky}: {e}")))?;
+    }
+    for merge in &settings.merge {
+        scene_ops::merge_groups(scene, merge)
+            .map_err(|e| Error::Setting(format!("--merge {merge}: {e}")))?;
+    }
+    Ok(document)
+}
+
+impl Session {
+    /// Reads a scene file and makes it ready to solve.
+    pub fn open(path: &Path, settings: &Settings) -> Result<Session, Error> {
+        let mut clock = Clock::start();
+        let document = read(path, settings)?;
+        clock.end(Stage::Read);
+        Session::start(document.scene, Some(document.source), document.warnings, settings, clock)
+    }
+
+    /// Makes a scene that is in memory ready to solve.
+    pub fn new(scene: Scene, settings: &Settings) -> Result<Session, Error> {
+        Session::start(scene, None, Warnings::default(), settings, Clock::start())
+    }
+
+    fn start(
+        read: Scene,
+        source: Option<Source>,
+        mut warnings: Warnings,
+        settings: &Settings,
+        mut clock: Clock,
+    ) -> Result<Session, Error> {
+        let mut mesh = mesh_settings(&read, settings);
+        let needed = memory_estimate(&read, mesh.max_elements);
+        if needed > settings.memory {
+            return Err(Error::Memory {
+                scene: read.name,
+                needed_mb: needed / 1_000_000,
+                bound_mb: settings.memory / 1_000_000,
+            });
+        }
+        let prepare = PrepareSettings::for_mesh(&mesh);
+        let scene = Arc::new(luxel_mesh::prepare(read, &prepare, &mut warnings));
+        let caster = Bvh::build(&scene);
+        clock.end(Stage::Prepare);
+
+        if settings.elements.is_none() && settings.element_edge_m.is_none() && !settings.solver.needs_lines() {
+            // A stored matrix grows with the square of the elements.
+            mesh = MeshSettings::for_scene(&scene, MATRIX_ELEMENTS);
+        }
+        let mut strategy = settings.mesh.build(mesh);
+        let front = strategy.initial(&scene);
+        clock.end(Stage::Mesh);
+
+        let lights = DirectLights::new(&scene, &front);
+        let mut session = Session {
+            settings: settings.clone(),
+            matter: Matter::new(&scene, &front, &lights, &vec![0.0; front.len() * scene.layers().columns()]),
+            scene,
+            source,
+            warnings,
+            caster,
+            strategy,
+            front,
+            lights,
+            factors: None,
+            solver: settings.solver.build(SolverSettings::default()),
+            progress: Progress::default(),
+            refinements: 0,
+            clock,
+        };
+        session.take_front()?;
+        Ok(session)
+    }
+
+    /// What depends on the front alone: direct light of its elements, and its form factors.
+    fn take_front(&mut self) -> Result<(), Error> {
+        self.lights = DirectLights::new(&self.scene, &self.front);
+        let settings = ElementDirect { seed: self.settings.seed, ..ElementDirect::default() };
+        let direct =
+            self.lights.element_irradiance(&self.scene, &self.front, &self.caster, &settings);
+        self.matter = Matter::new(&self.scene, &self.front, &self.lights, &direct);
+        self.clock.end(Stage::Direct);
+        if !self.settings.solver.needs_lines() {
+            // Most pairs of a room see each other: 16 bytes each, and LU holds three bands of f64.
+            let pairs = (self.front.len() as u64).pow(2);
+            let needed = pairs * if self.settings.solver == luxel_solve::Kind::Direct { 48 } else { 16 };
+            if needed > self.settings.memory || !self.settings.solver.fits(self.front.len()) {
+                return Err(Error::Setting(format!(
+                    "--solver {}: {} elements need about {} MB of form factors, too many; \
+                     use fewer --elements or the default solver",
+                    self.settings.solver.name(),
+                    self.front.len(),
+                    needed / 1_000_000
+                )));
+            }
+            let settings = MatrixSettings { seed: self.settings.seed, ..MatrixSettings::default() };
+            self.factors = Some(Matrix::assemble(&self.scene, &self.front, &self.caster, &settings));
+            self.clock.end(Stage::Factors);
+        }
+        Ok(())
+    }
+
+    /// Relative error of element exitance at which the solver may stop. Gathering averages over
+    /// many elements, so the shown values are better than the elements they come from.
+    fn solver_target(&self) -> f64 {
+        self.settings.error
+    }
+
+    fn reached(&self) -> bool {
+        self.progress.finished
+            || (self.progress.step > 1
+                && self.progress.relative_error <= self.solver_target()
+                && self.progress.unshot_share <= 0.1 * self.settings.error)
+    }
+
+    /// Asks the mesh strategy for a finer front; `false` when it has none.
+    fn refine(&mut self) -> bool {
+        if self.refinements >= MOST_REFINEMENTS {
+            return false;
+        }
+        let solution = self.solution();
+        let wish = luxel_mesh::neighbour_difference(&self.scene, &self.front, &solution);
+        let Some((front, change)) = self.strategy.refine(&self.scene, &self.front, &solution, &wish)
+        else {
+            self.refinements = MOST_REFINEMENTS;
+            return false;
+        };
+        self.refinements += 1;
+        self.front = front;
+        self.clock.end(Stage::Mesh);
+        if self.take_front().is_err() {
+            // More factors than memory holds: this front is the last.
+            self.refinements = MOST_REFINEMENTS;
+        }
+        self.with_solver(|solver, problem| solver.restart(&change, problem));
+        true
+    }
+
+    fn with_solver<T>(
+        &mut self,
+        act: impl FnOnce(&mut dyn Solver, &luxel_solve::Problem<'_>) -> T,
+    ) -> T {
+        let lines;
+        let transport = match &self.factors {
+            Some(matrix) => Transport::Factors(matrix),
+            None => {
+                lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+                Transport::Lines(&lines)
+            }
+        };
+        let problem = self.matter.problem(transport, self.settings.seed);
+        act(self.solver.as_mut(), &problem)
+    }
+
+    /// The solution as it stands. Never holds the ambient term.
+    pub fn solution(&self) -> Solution {
+        let lines;
+        let transport = match &self.factors {
+            Some(matrix) => Transport::Factors(matrix),
+            None => {
+                lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+                Transport::Lines(&lines)
+            }
+        };
+        self.solver.solution(&self.matter.problem(transport, self.settings.seed))
+    }
+
+    /// Exitance with the ambient term added: for a picture of an unfinished solution, never stored.
+    pub fn displayed(&self) -> Solution {
+        let mut solution = self.solution();
+        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+        let problem = self.matter.problem(Transport::Lines(&lines), self.settings.seed);
+        solution.exitance = luxel_solve::ambient::displayed(&problem, &solution);
+        solution
+    }
+
+    /// Takes up a stored solution of this very scene and settings.
+    pub fn resume(&mut self, stored: &Solution) {
+        self.with_solver(|solver, problem| solver.resume(stored, problem));
+        self.progress.relative_error = stored.relative_error as f64;
+        self.progress.unshot_share = stored.unshot_share as f64;
+        self.progress.work = stored.work;
+        self.progress.step = self.progress.step.max(2);
+    }
+
+    /// Irradiance at any receivers from the solution as it stands: the one function behind
+    /// every number shown.
+    ///
+    /// `values[receiver * columns + column]` in lux of each band, with one standard error a layer
+    /// and one for the total. The errors hold the noise of gather and shadow rays; the solution's
+    /// own error is in [`Solution::relative_error`].
+    pub fn irradiance_at(&self, solution: &Solution, receivers: &[Receiver], accuracy: &Accuracy) -> Irradiance {
+        Gatherer::new(&self.scene, &self.front, &self.caster, solution, &self.lights)
+            .irradiance_at(receivers, accuracy)
+    }
+
+    /// The accuracy that the settings ask for, with darkness measured against `solution`.
+    pub fn accuracy(&self, solution: &Solution) -> Accuracy {
+        Accuracy {
+            relative: self.settings.error as f32,
+            floor_lux: DARK * self.mean_illuminance(solution),
+            rays: [64, 16384],
+            seed: self.settings.seed,
+        }
+    }
+
+    /// Area-weighted mean illuminance of the elements that reflect, lux: flux given back over
+    /// flux's share reflected.
+    fn mean_illuminance(&self, solution: &Solution) -> f32 {
+        let (mut lumens, mut area) = (0.0f64, 0.0f64);
+        for e in 0..self.front.len() {
+            let rho = self.front.reflectance[e].luminance();
+            if rho > 0.01 {
+                let a = self.front.area[e] as f64;
+                lumens += a * (solution.total(e).luminance() / rho) as f64;
+                area += a;
+            }
+        }
+        if area > 0.0 { (lumens / area) as f32 } else { 0.0 }
+    }
+
+    /// Energy balance of the solution, lumens.
+    pub fn balance(&self, solution: &Solution) -> luxel_solve::balance::EnergyBalance {
+        let lines;
+        let transport = match &self.factors {
+            Some(matrix) => Transport::Factors(matrix),
+            None => {
+                lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+                Transport::Lines(&lines)
+            }
+        };
+        luxel_solve::balance::measure(&self.matter.problem(transport, self.settings.seed), solution, BALANCE_LINES)
+    }
+
+    /// The scene as it is solved.
+    pub fn scene(&self) -> &Arc<Scene> {
+        &self.scene
+    }
+
+    /// What the scene's file holds beside the scene; `None` for a scene from memory.
+    pub fn source(&self) -> Option<&Source> {
+        self.source.as_ref()
+    }
+
+    /// The elements in force.
+    pub fn front(&self) -> &Front {
+        &self.front
+    }
+
+    /// The ray engine.
+    pub fn caster(&self) -> &dyn RayCaster {
+        &self.caster
+    }
+
+    /// Lights whose direct light is computed apart.
+    pub fn lights(&self) -> &DirectLights {
+        &self.lights
+    }
+
+    /// The known side of the equation.
+    pub(crate) fn matter(&self) -> &Matter {
+        &self.matter
+    }
+
+    /// Names of the columns.
+    pub fn layers(&self) -> &Layers {
+        self.matter.layers()
+    }
+
+    /// What was odd in the input.
+    pub fn warnings(&self) -> &Warnings {
+        &self.warnings
+    }
+
+    /// Settings of this session.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// How far the solver is.
+    pub fn progress(&self) -> Progress {
+        self.progress
+    }
+
+    /// Times of the stages so far.
+    pub fn clock_mut(&mut self) -> &mut Clock {
+        &mut self.clock
+    }
+}
+
+impl Iterator for Session {
+    type Item = Progress;
+
+    fn next(&mut self) -> Option<Progress> {
+        if self.reached() && !self.refine() {
+            return None;
+        }
+        self.progress = self.with_solver(|solver, problem| solver.step(problem));
+        self.clock.end(Stage::Solve);
+        Some(self.progress)
+    }
+}
+
+/// Lines for the energy balance: 0.1 % for the whole scene.
+const BALANCE_LINES: u64 = 1 << 20;
+
+/// Elements at which a stored matrix is comfortable.
+const MATRIX_ELEMENTS: usize = 3_000;
+
+/// Elements for a scene when the user does not say: enough that light on a room's walls is
+/// well drawn, few enough that a solution takes seconds.
+fn default_elements(scene: &Scene) -> usize {
+    (20_000 + scene.triangles.len() / 4).min(400_000)
+}
+
+fn mesh_settings(scene: &Scene, settings: &Settings) -> MeshSettings {
+    let target = settings.elements.unwrap_or_else(|| default_elements(scene));
+    let mut mesh = MeshSettings::for_scene(scene, target);
+    if let Some(edge) = settings.element_edge_m {
+        mesh.max_area_m2 = (edge * edge) as f32;
+        mesh.max_elements = usize::MAX;
+    }
+    mesh
+}
+
+/// Peak memory of a session, bytes: triangles with their tree, elements with their columns.
+fn memory_estimate(scene: &Scene, elements: usize) -> u64 {
+    const PER_TRIANGLE: u64 = 320;
+    const PER_ELEMENT: u64 = 160;
+    const PER_COLUMN: u64 = 48;
+    let columns = scene.layers().columns() as u64;
+    let elements = (elements as u64).min(1 << 32);
+    scene.triangles.len() as u64 * PER_TRIANGLE + elements * (PER_ELEMENT + columns * PER_COLUMN)
+}
