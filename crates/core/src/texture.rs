@@ -68,16 +68,19 @@ impl Texture {
         let (fx, fy) = (x - x0, y - y0);
         let mut colour = Rgb::BLACK;
         let mut alpha = 0.0;
-        for (dx, dy, w) in [
-            (0, 0, (1.0 - fx) * (1.0 - fy)),
-            (1, 0, fx * (1.0 - fy)),
-            (0, 1, (1.0 - fx) * fy),
-            (1, 1, fx * fy),
-        ] {
-            let t = self.texel(x0 as i64 + dx, y0 as i64 + dy);
-            colour += LINEAR.with(|l| Rgb::new(l[t[0] as usize], l[t[1] as usize], l[t[2] as usize])) * w;
-            alpha += t[3] as f32 / 255.0 * w;
-        }
+        // The table is fetched once: finding it costs as much as a texel.
+        LINEAR.with(|l| {
+            for (dx, dy, w) in [
+                (0, 0, (1.0 - fx) * (1.0 - fy)),
+                (1, 0, fx * (1.0 - fy)),
+                (0, 1, (1.0 - fx) * fy),
+                (1, 1, fx * fy),
+            ] {
+                let t = self.texel(x0 as i64 + dx, y0 as i64 + dy);
+                colour += Rgb::new(l[t[0] as usize], l[t[1] as usize], l[t[2] as usize]) * w;
+                alpha += t[3] as f32 / 255.0 * w;
+            }
+        });
         (colour, alpha)
     }
 

@@ -16,7 +16,7 @@ const EYE_M: f32 = 1.6;
 /// What is lower than this is a model or an object rather than a room, metres.
 const SMALL_M: f32 = 1.2;
 /// Places tried inside the bounds.
-const PLACES: usize = 96;
+const PLACES: usize = 64;
 /// Directions tried at each place.
 const DIRECTIONS: usize = 16;
 /// Directions tried around the outside.
@@ -30,7 +30,7 @@ const ASPECT: f32 = 16.0 / 9.0;
 /// Rays of a coarse picture, across and down.
 const GRID: [usize; 2] = [12, 7];
 /// Luminaires and emitters to which sight is tested, the strongest first.
-const LAMPS: usize = 6;
+const LAMPS: usize = 4;
 
 /// The first view of the scene, or [`auto_view`].
 pub fn first_view(scene: &Scene, caster: &dyn RayCaster) -> View {

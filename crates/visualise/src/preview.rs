@@ -11,11 +11,10 @@
 
 use crate::glyphs;
 use crate::lit_mesh::LitMesh;
-use crate::places::barycentric;
 use crate::raster::{Camera, NOTHING, SUPER, visible};
 use crate::tone::{Encoder, Exposure, LuxScale, ramp};
 use luxel_core::quantity::LAMBERTIAN;
-use luxel_core::{Alpha, Finish, Rgb, Scene, Side, Vec2, Vec3, View};
+use luxel_core::{Alpha, Finish, Rgb, Scene, Side, Texture, TextureId, Vec2, Vec3, View};
 use rayon::prelude::*;
 
 /// How large, and how exposed.
@@ -103,17 +102,28 @@ pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: u
     );
     let row = width * SUPER;
     let mut pixels = vec![[Seen::Blank(Rgb::BLACK); SAMPLES]; width * height];
-    pixels.par_iter_mut().enumerate().with_min_len(256).for_each(|(k, pixel)| {
-        let (x, y) = (k % width * SUPER, k / width * SUPER);
-        let id = |s: usize| seen[(y + s / SUPER) * row + x + s % SUPER];
-        let middle = 0.5 * SUPER as f32;
-        // A pixel inside one plain triangle is shaded once, in its middle.
-        if (1..SAMPLES).all(|s| id(s) == id(0)) && !stage.is_textured(id(0)) {
-            *pixel = [stage.shade(id(0), &camera, x as f32 + middle, y as f32 + middle); SAMPLES];
-        } else {
-            for (s, sample) in pixel.iter_mut().enumerate() {
-                let (i, j) = ((s % SUPER) as f32 + 0.5, (s / SUPER) as f32 + 0.5);
-                *sample = stage.shade(id(s), &camera, x as f32 + i, y as f32 + j);
+    pixels.par_chunks_mut(width.max(1)).enumerate().for_each(|(j, line)| {
+        // Neighbours mostly show the same triangle: what it needs is worked out once.
+        let mut facet = stage.facet(NOTHING, &camera);
+        for (i, pixel) in line.iter_mut().enumerate() {
+            let (x, y) = (i * SUPER, j * SUPER);
+            let id = |s: usize| seen[(y + s / SUPER) * row + x + s % SUPER];
+            let mut shade = |id: u32, x: f32, y: f32| {
+                if facet.id != id {
+                    facet = stage.facet(id, &camera);
+                }
+                facet.shade(&camera, x, y)
+            };
+            let is_one = (1..SAMPLES).all(|s| id(s) == id(0));
+            let middle = 0.5 * SUPER as f32;
+            // A pixel inside one plain triangle is shaded once, in its middle.
+            if is_one && !stage.is_textured(id(0)) {
+                *pixel = [shade(id(0), x as f32 + middle, y as f32 + middle); SAMPLES];
+            } else {
+                for (s, sample) in pixel.iter_mut().enumerate() {
+                    let (i, j) = ((s % SUPER) as f32 + 0.5, (s / SUPER) as f32 + 0.5);
+                    *sample = shade(id(s), x as f32 + i, y as f32 + j);
+                }
             }
         }
     });
@@ -146,9 +156,12 @@ impl Shot {
             }
             Some(sum / SAMPLES as f32)
         };
-        let mut values: Vec<f32> = self.pixels.iter().filter_map(|p| mean(p, false)).collect();
+        // A hundred thousand pixels know the percentiles to a thousandth; rows are not in step.
+        let stride = (self.pixels.len() / 100_000).max(1);
+        let some = || self.pixels.iter().step_by(stride);
+        let mut values: Vec<f32> = some().filter_map(|p| mean(p, false)).collect();
         if values.is_empty() {
-            values = self.pixels.iter().filter_map(|p| mean(p, true)).collect();
+            values = some().filter_map(|p| mean(p, true)).collect();
         }
         Exposure::automatic(&values)
     }
@@ -335,22 +348,6 @@ impl<'a> Stage<'a> {
         finish.texture.is_some() || finish.emission.as_ref().is_some_and(|e| e.texture.is_some())
     }
 
-    /// Weights of the three corners where the sight through a point of the picture meets the
-    /// plane; kept inside the triangle, as the point may lie a hair outside.
-    fn weights(&self, corners: [Vec3; 3], camera: &Camera, x: f32, y: f32) -> [f32; 3] {
-        let ray = camera.direction(x, y);
-        let [a, b, c] = corners;
-        let normal = (b - a).cross(c - a);
-        let t = (a - camera.eye).dot(normal) / ray.dot(normal);
-        let [u, v] = barycentric(corners, camera.eye + ray * t);
-        if !(u.is_finite() && v.is_finite()) {
-            return [1.0, 0.0, 0.0];
-        }
-        let w = [1.0 - u - v, u, v].map(|w| w.max(0.0));
-        let sum = w[0] + w[1] + w[2];
-        w.map(|w| w / sum)
-    }
-
     fn uv(&self, id: u32, w: [f32; 3]) -> Vec2 {
         if self.scene.uvs.is_empty() {
             return Vec2::ZERO;
@@ -368,7 +365,7 @@ impl<'a> Stage<'a> {
     /// Whether a triangle with holes is there at a sample.
     fn covers(&self, id: u32, camera: &Camera, x: usize, y: usize) -> bool {
         let finish = self.finish(id);
-        let w = self.weights(self.corners(id), camera, x as f32 + 0.5, y as f32 + 0.5);
+        let w = Crossing::new(self.corners(id), camera).weights(camera, x as f32 + 0.5, y as f32 + 0.5);
         let texel = finish
             .texture
             .map_or(1.0, |t| self.scene.textures[t.index()].sample(self.uv(id, w)).1);
@@ -384,40 +381,127 @@ impl<'a> Stage<'a> {
         }
     }
 
-    fn shade(&self, id: u32, camera: &Camera, x: f32, y: f32) -> Seen {
+    /// What a triangle shows; [`NOTHING`] shows the outside.
+    fn facet(&self, id: u32, camera: &Camera) -> Facet<'a> {
         if id == NOTHING {
-            return match &self.scene.sky {
+            let seen = match &self.scene.sky {
                 Some(sky) => Seen::Sky(sky.luminance),
                 None => Seen::Blank(Rgb::new(0.018, 0.020, 0.024)),
             };
+            return Facet { id, shows: Shows::One(seen) };
         }
         let corners = self.corners(id);
+        let crossing = Crossing::new(corners, camera);
         let Some(&part) = self.part.get(id as usize) else {
-            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or_zero();
-            let slope = normal.dot(camera.direction(x, y).normalize_or_zero()).abs();
-            return Seen::Blank(Rgb::splat(0.01 + 0.04 * slope));
+            let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+            return Facet { id, shows: Shows::Black(normal.normalize_or_zero()) };
         };
-        let w = self.weights(corners, camera, x, y);
-        let vertices = self.mesh.triangles[id as usize];
-        let irradiance = (0..3).fold(Rgb::BLACK, |sum, k| {
-            sum + self.mesh.irradiance[vertices[k] as usize] * w[k]
-        });
+        let vertices = self.mesh.triangles[id as usize].map(|v| v as usize);
         let finish = self.finish(id);
-        let side = self.mesh.parts[part as usize].side;
-        let textured = finish.texture.is_some()
-            || finish.emission.as_ref().is_some_and(|e| e.texture.is_some());
-        let uv = if textured { self.uv(id, w) } else { Vec2::ZERO };
-        let texel = |id: Option<luxel_core::TextureId>| {
-            id.map_or(Rgb::WHITE, |t| self.scene.textures[t.index()].sample(uv).0)
-        };
-        let mut luminance = Rgb::BLACK;
-        if side == Side::Front || finish.back_reflects {
-            luminance +=
-                finish.reflectance * texel(finish.texture) * irradiance * (1.0 / LAMBERTIAN);
+        let is_front = self.mesh.parts[part as usize].side == Side::Front;
+        let textures = &self.scene.textures;
+        let picture = |t: Option<TextureId>| t.map(|t| &textures[t.index()]);
+        let emission = finish.emission.as_ref().filter(|_| is_front || finish.back_emits);
+        let reflects = is_front || finish.back_reflects;
+        Facet {
+            id,
+            shows: Shows::Lit {
+                crossing,
+                irradiance: vertices.map(|v| self.mesh.irradiance[v]),
+                uvs: vertices.map(|v| self.mesh.uvs.get(v).copied().unwrap_or_default()),
+                reflectance: finish.reflectance * if reflects { 1.0 / LAMBERTIAN } else { 0.0 },
+                picture: picture(finish.texture).filter(|_| reflects),
+                luminance: emission.map_or(Rgb::BLACK, |e| e.luminance),
+                glow: picture(emission.and_then(|e| e.texture)),
+            },
         }
-        if let Some(e) = finish.emission.as_ref().filter(|_| side == Side::Front || finish.back_emits) {
-            luminance += e.luminance * texel(e.texture);
+    }
+}
+
+/// A triangle ready to be shaded.
+struct Facet<'a> {
+    id: u32,
+    shows: Shows<'a>,
+}
+
+enum Shows<'a> {
+    /// The same everywhere.
+    One(Seen),
+    /// A side that is black, with its normal.
+    Black(Vec3),
+    /// A lit side.
+    Lit {
+        crossing: Crossing,
+        irradiance: [Rgb; 3],
+        uvs: [Vec2; 3],
+        /// Reflectance over pi.
+        reflectance: Rgb,
+        picture: Option<&'a Texture>,
+        luminance: Rgb,
+        glow: Option<&'a Texture>,
+    },
+}
+
+impl Facet<'_> {
+    fn shade(&self, camera: &Camera, x: f32, y: f32) -> Seen {
+        match &self.shows {
+            Shows::One(seen) => *seen,
+            Shows::Black(normal) => {
+                let slope = normal.dot(camera.direction(x, y).normalize_or_zero()).abs();
+                Seen::Blank(Rgb::splat(0.01 + 0.04 * slope))
+            }
+            Shows::Lit { crossing, irradiance, uvs, reflectance, picture, luminance, glow } => {
+                let w = crossing.weights(camera, x, y);
+                let e = irradiance[0] * w[0] + irradiance[1] * w[1] + irradiance[2] * w[2];
+                let mut seen = *reflectance * e;
+                let mut own = *luminance;
+                if picture.is_some() || glow.is_some() {
+                    let uv = uvs[0] * w[0] + uvs[1] * w[1] + uvs[2] * w[2];
+                    if let Some(picture) = picture {
+                        seen = seen * picture.sample(uv).0;
+                    }
+                    if let Some(glow) = glow {
+                        own = own * glow.sample(uv).0;
+                    }
+                }
+                Seen::Surface { luminance: seen + own, lux: e.luminance() }
+            }
         }
-        Seen::Surface { luminance, lux: irradiance.luminance() }
+    }
+}
+
+/// Where sights cross a triangle's plane: weights are quotients of two linear functions of the
+/// direction (Cramer's rule on `t d = a - eye + u e + v f`).
+struct Crossing {
+    normal: Vec3,
+    /// Numerators of the weights of corners 1 and 2.
+    across: [Vec3; 2],
+}
+
+impl Crossing {
+    fn new([a, b, c]: [Vec3; 3], camera: &Camera) -> Crossing {
+        let (e, f) = ((b - a).as_dvec3(), (c - a).as_dvec3());
+        let r = (a - camera.eye).as_dvec3();
+        // Scaled, so that tiny triangles stay within f32.
+        let n = e.cross(f);
+        let scale = 1.0 / n.length().max(f64::MIN_POSITIVE);
+        Crossing {
+            normal: (n * scale).as_vec3(),
+            across: [(f.cross(r) * scale).as_vec3(), (r.cross(e) * scale).as_vec3()],
+        }
+    }
+
+    /// Weights of the three corners; kept inside the triangle, as the sight may pass a hair
+    /// beside it.
+    fn weights(&self, camera: &Camera, x: f32, y: f32) -> [f32; 3] {
+        let ray = camera.direction(x, y);
+        let share = 1.0 / ray.dot(self.normal);
+        let (u, v) = (ray.dot(self.across[0]) * share, ray.dot(self.across[1]) * share);
+        if !(u.is_finite() && v.is_finite()) {
+            return [1.0, 0.0, 0.0];
+        }
+        let w = [1.0 - u - v, u, v].map(|w| w.max(0.0));
+        let sum = w[0] + w[1] + w[2];
+        w.map(|w| w / sum)
     }
 }
