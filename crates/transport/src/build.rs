@@ -9,7 +9,8 @@
 //!
 //! Source: [Wald07] for the bins, [Wald08] for the wide nodes.
 
-use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, PARTIAL, Tree};
+use crate::arena::Arena;
+use crate::bvh::{CHILD_IS_LEAF, EMPTY_LEAF, Leaf, Node, PARTIAL, Tree};
 use crate::lanes::WIDTH;
 use glam::Vec3A;
 use luxel_core::{Alpha, Scene};
@@ -146,28 +147,28 @@ pub(crate) fn build(scene: &Arc<Scene>) -> Tree {
         .collect();
     let has_partial = items.iter().any(|item| item.triangle & PARTIAL != 0);
 
-    // Child 0 of nothing: an empty leaf, to which unused children and an empty scene point.
-    let mut tree = Tree {
-        nodes: Vec::new(),
-        leaves: Vec::new(),
-        root: CHILD_IS_LEAF,
-        extent: 0.0,
+    let branch = if items.is_empty() {
+        None
+    } else {
+        Some(grow(&mut items, 0, 0))
+    };
+    let leaf_count = branch.as_ref().map_or(0, Branch::leaf_count);
+    // There are fewer nodes than leaves.
+    let mut arena = Arena::with_room((leaf_count + 1) * (size_of::<Leaf>() + size_of::<Node>()));
+    arena.push(&Leaf::EMPTY);
+    let (mut root, mut extent) = (EMPTY_LEAF, 0.0);
+    if let Some(branch) = branch {
+        let bounds = branch.bounds();
+        extent = bounds.low.abs().max(bounds.high.abs()).max_element();
+        root = widen(&branch, &items, scene, &mut arena);
+    }
+    Tree {
+        root,
+        extent,
+        arena,
         has_partial,
         scene: Arc::clone(scene),
-    };
-    if items.is_empty() {
-        tree.leaves.push(Leaf::EMPTY);
-        return tree;
     }
-    let branch = grow(&mut items, 0, 0);
-    let bounds = branch.bounds();
-    tree.extent = bounds.low.abs().max(bounds.high.abs()).max_element();
-    let leaf_count = branch.leaf_count();
-    tree.leaves = crate::arena::with_huge_pages(leaf_count + 1);
-    tree.nodes = crate::arena::with_huge_pages(leaf_count);
-    tree.leaves.push(Leaf::EMPTY);
-    tree.root = widen(&branch, &items, &mut tree);
-    tree
 }
 
 /// The cut of least work: where it is, and how much.
@@ -376,12 +377,11 @@ fn divide(items: &mut [Item], is_left: impl Fn(&Item) -> bool) -> usize {
 }
 
 /// Appends `branch` to the tree, eight children a node, and returns the reference to it.
-fn widen(branch: &Branch, items: &[Item], tree: &mut Tree) -> u32 {
+fn widen(branch: &Branch, items: &[Item], scene: &Scene, arena: &mut Arena) -> u32 {
     let halves = match branch {
         Branch::Leaf { first, count, .. } => {
-            let leaf = leaf_of(&items[*first..first + count], &tree.scene);
-            tree.leaves.push(leaf);
-            return CHILD_IS_LEAF | (tree.leaves.len() - 1) as u32;
+            let leaf = leaf_of(&items[*first..first + count], scene);
+            return CHILD_IS_LEAF | arena.push(&leaf);
         }
         Branch::Fork { halves, .. } => halves,
     };
@@ -401,21 +401,19 @@ fn widen(branch: &Branch, items: &[Item], tree: &mut Tree) -> u32 {
         children[k] = &halves[0];
         children.push(&halves[1]);
     }
-    let at = tree.nodes.len();
     let mut node = Node::EMPTY;
+    // The node comes before its children; it is written again when they have names.
+    let name = arena.push(&node);
     for (k, child) in children.iter().enumerate() {
         let bounds = child.bounds();
         for axis in 0..3 {
             node.planes[2 * axis][k] = bounds.low[axis];
             node.planes[2 * axis + 1][k] = bounds.high[axis];
         }
+        node.child[k] = widen(child, items, scene, arena);
     }
-    tree.nodes.push(node);
-    for (k, child) in children.iter().enumerate() {
-        let reference = widen(child, items, tree);
-        tree.nodes[at].child[k] = reference;
-    }
-    at as u32
+    arena.set(name, &node);
+    name
 }
 
 fn leaf_of(items: &[Item], scene: &Scene) -> Leaf {

@@ -7,6 +7,7 @@
 //!
 //! Source: [Wald08] for wide nodes on single rays, [Woop13] for the triangle test.
 
+use crate::arena::{Arena, Lines};
 use crate::contract::{Hit, Ray, RayCaster};
 use crate::lanes::WIDTH;
 use crate::{build, kernel_portable, packet, traverse};
@@ -15,17 +16,26 @@ use std::sync::Arc;
 
 /// Bit of a child reference: the rest numbers a leaf, not a node.
 pub(crate) const CHILD_IS_LEAF: u32 = 1 << 31;
+/// The leaf that every tree starts with: no triangle.
+pub(crate) const EMPTY_LEAF: u32 = CHILD_IS_LEAF;
 /// Bit of a leaf's triangle: its coverage must be looked up.
 pub(crate) const PARTIAL: u32 = 1 << 31;
 
 /// Eight boxes and what is inside them.
-#[repr(C, align(32))]
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
 pub(crate) struct Node {
     /// `planes[2 axis + side][child]`, side 0 low and 1 high, metres.
     pub(crate) planes: [[f32; WIDTH]; 6],
     /// References to nodes, or to leaves with [`CHILD_IS_LEAF`].
     pub(crate) child: [u32; WIDTH],
+    /// Fills the last cache line.
+    pub(crate) unused: [u32; WIDTH],
 }
+
+// SAFETY: f32 and u32 only, four lines of 64 bytes.
+unsafe impl Lines for Node {}
+const _: () = assert!(size_of::<Node>() == 4 * 64);
 
 impl Node {
     /// Boxes that nothing enters, and should rounding disagree, the empty leaf behind them.
@@ -38,18 +48,24 @@ impl Node {
             [f32::INFINITY; WIDTH],
             [f32::NEG_INFINITY; WIDTH],
         ],
-        child: [CHILD_IS_LEAF; WIDTH],
+        child: [EMPTY_LEAF; WIDTH],
+        unused: [0; WIDTH],
     };
 }
 
 /// Up to eight triangles.
-#[repr(C, align(32))]
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
 pub(crate) struct Leaf {
     /// `corners[corner][axis][triangle]`, metres; NaN where there is no triangle.
     pub(crate) corners: [[[f32; WIDTH]; 3]; 3],
     /// Source triangle, with [`PARTIAL`].
     pub(crate) triangle: [u32; WIDTH],
 }
+
+// SAFETY: f32 and u32 only, five lines of 64 bytes.
+unsafe impl Lines for Leaf {}
+const _: () = assert!(size_of::<Leaf>() == 5 * 64);
 
 impl Leaf {
     /// No triangle: comparisons with NaN fail, so nothing is ever hit.
@@ -61,9 +77,8 @@ impl Leaf {
 
 /// The tree and what a walk through it needs.
 pub(crate) struct Tree {
-    pub(crate) nodes: Vec<Node>,
-    /// Leaf 0 is empty.
-    pub(crate) leaves: Vec<Leaf>,
+    /// Nodes and leaves; [`EMPTY_LEAF`] comes first.
+    pub(crate) arena: Arena,
     pub(crate) root: u32,
     /// Largest absolute coordinate, metres.
     pub(crate) extent: f32,
@@ -76,19 +91,24 @@ impl Tree {
     /// A node by reference.
     #[inline(always)]
     pub(crate) fn node(&self, reference: u32) -> &Node {
-        debug_assert!((reference as usize) < self.nodes.len());
+        debug_assert!(reference & CHILD_IS_LEAF == 0);
         // SAFETY: references come from the root and from `child`, which the builder fills with
-        // indices of what it has pushed; nothing changes them later.
-        unsafe { self.nodes.get_unchecked(reference as usize) }
+        // the names of what it has pushed, marking leaves; nothing changes them later.
+        unsafe { self.arena.get(reference) }
     }
 
     /// A leaf by reference.
     #[inline(always)]
     pub(crate) fn leaf(&self, reference: u32) -> &Leaf {
-        let index = (reference & !CHILD_IS_LEAF) as usize;
-        debug_assert!(index < self.leaves.len());
+        debug_assert!(reference & CHILD_IS_LEAF != 0);
         // SAFETY: as for `node`.
-        unsafe { self.leaves.get_unchecked(index) }
+        unsafe { self.arena.get(reference & !CHILD_IS_LEAF) }
+    }
+
+    /// Starts to fetch a node or leaf that will be needed soon.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, reference: u32) {
+        self.arena.prefetch(reference & !CHILD_IS_LEAF);
     }
 }
 
@@ -147,7 +167,7 @@ impl Bvh {
 
     /// Memory of nodes and leaves, bytes; the scene is not counted.
     pub fn bytes(&self) -> usize {
-        self.tree.nodes.len() * size_of::<Node>() + self.tree.leaves.len() * size_of::<Leaf>()
+        self.tree.arena.bytes()
     }
 
     /// The scene that rays meet.

@@ -13,9 +13,7 @@
 use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, Tree};
 use crate::contract::Ray;
 use crate::lanes::{Kernel, Lanes, WIDTH};
-use crate::traverse::{
-    LEAST_SLOPE, MARGIN, Room, Waiting, crossing, dominant_axis, is_usable, splat,
-};
+use crate::traverse::{LEAST_SLOPE, MARGIN, Room, crossing, dominant_axis, is_usable, splat};
 use luxel_core::Vec3;
 
 /// Most segments in a packet.
@@ -76,12 +74,19 @@ fn coherent(segments: &[Ray]) -> usize {
     segments.len().min(MOST)
 }
 
+/// A subtree that waits, and the lanes of the segments that enter it.
+#[derive(Clone, Copy)]
+struct Waiting {
+    reference: u32,
+    segments: u32,
+}
+
 /// What a packet needs while it walks; made once a batch.
 pub(crate) struct Packet {
     groups: [Group; GROUPS],
     /// Which segment is in which lane.
     numbers: [u8; GROUPS * WIDTH],
-    room: Room<u32>,
+    room: Room<Waiting>,
 }
 
 impl Packet {
@@ -412,10 +417,9 @@ pub(crate) fn together<K: Kernel>(
                     }
                 }
                 if entering & here != 0 {
-                    let with = entering & here;
                     stack.push(Waiting {
                         reference: node.child[child],
-                        with,
+                        segments: entering & here,
                     });
                 }
             }
@@ -426,7 +430,7 @@ pub(crate) fn together<K: Kernel>(
         }
         loop {
             let Some(next) = stack.pop() else { break 'walk };
-            here = next.with & live;
+            here = next.segments & live;
             if here != 0 {
                 current = next.reference;
                 break;

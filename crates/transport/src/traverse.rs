@@ -21,6 +21,7 @@ use crate::build::MOST_WAITING;
 use crate::bvh::{CHILD_IS_LEAF, Leaf, Node, PARTIAL, Tree};
 use crate::contract::{Hit, Ray};
 use crate::lanes::{Lanes, WIDTH};
+use glam::Vec3A;
 use luxel_core::Side;
 use std::mem::MaybeUninit;
 
@@ -59,12 +60,11 @@ pub(crate) struct Shear {
 #[inline(always)]
 pub(crate) fn dominant_axis(ray: &Ray) -> usize {
     let length = ray.direction.abs();
-    if length.x > length.y {
-        if length.x > length.z { 0 } else { 2 }
-    } else if length.y > length.z {
-        1
-    } else {
+    let of_two = usize::from(length.y >= length.x);
+    if length.z >= length.x.max(length.y) {
         2
+    } else {
+        of_two
     }
 }
 
@@ -74,9 +74,7 @@ pub(crate) fn dominant_axis(ray: &Ray) -> usize {
 pub(crate) fn is_usable(ray: &Ray) -> bool {
     let (o, d) = (ray.origin, ray.direction);
     // Sums are not finite if a term is not.
-    (o.x + o.y + o.z).is_finite()
-        && (d.x + d.y + d.z).is_finite()
-        && (1.0 / d[dominant_axis(ray)]).is_finite()
+    (o.x + o.y + o.z + d.x + d.y + d.z).is_finite() && (1.0 / d.abs().max_element()).is_finite()
 }
 
 /// Slabs and shear of a ray; `None` if it can meet nothing.
@@ -85,38 +83,30 @@ pub(crate) fn prepare(ray: &Ray, extent: f32) -> Option<(Slabs, Shear)> {
     if !is_usable(ray) {
         return None;
     }
-    let (o, d) = (ray.origin.to_array(), ray.direction.to_array());
+    let (o, d) = (Vec3A::from(ray.origin), Vec3A::from(ray.direction));
+    let least = Vec3A::splat(d.abs().max_element() * LEAST_SLOPE);
+    let slope = Vec3A::select(d.abs().cmplt(least), least.copysign(d), d);
+    let inverse = Vec3A::ONE / slope;
+    let margin = MARGIN * (o.abs().max_element() + extent);
+    let (start, widened) = (o * inverse, inverse.abs() * margin);
+    let slabs = Slabs {
+        inverse: inverse.to_array(),
+        near: (start + widened).to_array(),
+        far: (start - widened).to_array(),
+        negative: inverse.to_array().map(|i| usize::from(i < 0.0)),
+    };
     let z = dominant_axis(ray);
-    let least = d[z].abs() * LEAST_SLOPE;
-    let reach = o[0].abs().max(o[1].abs()).max(o[2].abs()) + extent;
-    let margin = MARGIN * reach;
-    let mut slabs = Slabs {
-        inverse: [0.0; 3],
-        near: [0.0; 3],
-        far: [0.0; 3],
-        negative: [0; 3],
-    };
-    for axis in 0..3 {
-        let slope = if d[axis].abs() < least {
-            least.copysign(d[axis])
-        } else {
-            d[axis]
-        };
-        let inverse = 1.0 / slope;
-        let widened = margin * inverse.abs();
-        slabs.inverse[axis] = inverse;
-        slabs.near[axis] = o[axis] * inverse + widened;
-        slabs.far[axis] = o[axis] * inverse - widened;
-        slabs.negative[axis] = usize::from(inverse < 0.0);
-    }
     let (x, y) = ((z + 1) % 3, (z + 2) % 3);
-    let inverse_z = 1.0 / d[z];
-    let shear = Shear {
-        axes: [x, y, z],
-        slope: [d[x] * inverse_z, d[y] * inverse_z],
-        inverse_z,
-    };
-    Some((slabs, shear))
+    let inverse_z = slabs.inverse[z];
+    let slope = [ray.direction[x] * inverse_z, ray.direction[y] * inverse_z];
+    Some((
+        slabs,
+        Shear {
+            axes: [x, y, z],
+            slope,
+            inverse_z,
+        },
+    ))
 }
 
 // Lanes do not go through `array::map`: what is not inlined everywhere is compiled without the
@@ -263,17 +253,10 @@ impl<L: Lanes> Crossing<L> {
     }
 }
 
-/// A subtree that waits, with what is known of it.
-#[derive(Clone, Copy)]
-pub(crate) struct Waiting<T> {
-    pub(crate) reference: u32,
-    pub(crate) with: T,
-}
-
 /// Room for what waits in the deepest tree that the builder makes.
 ///
 /// Not initialised: clearing four kilobytes would cost as much as a short ray.
-pub(crate) struct Room<T>(MaybeUninit<[Waiting<T>; MOST_WAITING]>);
+pub(crate) struct Room<T>(MaybeUninit<[T; MOST_WAITING]>);
 
 impl<T: Copy> Room<T> {
     #[inline(always)]
@@ -292,19 +275,19 @@ impl<T: Copy> Room<T> {
 
 /// What waits, last in first out.
 pub(crate) struct Stack<'a, T> {
-    items: &'a mut MaybeUninit<[Waiting<T>; MOST_WAITING]>,
+    items: &'a mut MaybeUninit<[T; MOST_WAITING]>,
     count: usize,
 }
 
 impl<T: Copy> Stack<'_, T> {
     #[inline(always)]
-    pub(crate) fn push(&mut self, item: Waiting<T>) {
+    pub(crate) fn push(&mut self, item: T) {
         self.put(self.count, item);
         self.count += 1;
     }
 
     #[inline(always)]
-    pub(crate) fn pop(&mut self) -> Option<Waiting<T>> {
+    pub(crate) fn pop(&mut self) -> Option<T> {
         if self.count == 0 {
             return None;
         }
@@ -313,38 +296,36 @@ impl<T: Copy> Stack<'_, T> {
     }
 
     #[inline(always)]
-    fn put(&mut self, at: usize, item: Waiting<T>) {
+    fn put(&mut self, at: usize, item: T) {
         debug_assert!(at < MOST_WAITING);
         // SAFETY: `at <= count`, and count stays below MOST_WAITING: a walk leaves at most
         // eight waiting on the last level and seven on each above, and the builder bounds the
         // levels.
-        unsafe {
-            self.items
-                .as_mut_ptr()
-                .cast::<Waiting<T>>()
-                .add(at)
-                .write(item)
-        };
+        unsafe { self.items.as_mut_ptr().cast::<T>().add(at).write(item) };
     }
 
     #[inline(always)]
-    fn get(&self, at: usize) -> Waiting<T> {
+    fn get(&self, at: usize) -> T {
         // SAFETY: all below `count` were put, and callers ask for those only.
-        unsafe { self.items.as_ptr().cast::<Waiting<T>>().add(at).read() }
+        unsafe { self.items.as_ptr().cast::<T>().add(at).read() }
     }
 }
 
-impl Stack<'_, f32> {
+/// A subtree that waits: where the ray enters it above, which it is below, so that comparing
+/// the numbers compares the distances. (Not so for distances below zero, where the order of a
+/// walk is worse and its answer the same.)
+#[inline(always)]
+fn waiting(enter: f32, reference: u32) -> u64 {
+    u64::from(enter.to_bits()) << 32 | u64::from(reference)
+}
+
+impl Stack<'_, u64> {
     /// Adds an item above `base` so that those from `base` on are sorted, farthest first.
     #[inline(always)]
-    fn insert(&mut self, base: usize, item: Waiting<f32>) {
+    fn insert(&mut self, base: usize, item: u64) {
         let mut at = self.count;
-        while at > base {
-            let below = self.get(at - 1);
-            if below.with >= item.with {
-                break;
-            }
-            self.put(at, below);
+        while at > base && self.get(at - 1) < item {
+            self.put(at, self.get(at - 1));
             at -= 1;
         }
         self.put(at, item);
@@ -363,7 +344,7 @@ pub(crate) fn closest_batch<L: Lanes>(tree: &Tree, rays: &[Ray], hits: &mut [Hit
 
 /// Nearest crossing.
 #[inline(always)]
-fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room<f32>) -> Hit {
+fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room<u64>) -> Hit {
     let Some(beam) = Beam::<L>::new(ray, tree.extent) else {
         return Hit::MISS;
     };
@@ -375,38 +356,37 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room<f32>) -> Hit {
     let mut t_max = L::splat(ray.t_max);
     let mut current = tree.root;
     'walk: loop {
-        'down: while current & CHILD_IS_LEAF == 0 {
+        while current & CHILD_IS_LEAF == 0 {
             let node = tree.node(current);
-            let (mut bits, enter) = beam.boxes(node, t_max);
+            let (bits, enter) = beam.boxes(node, t_max);
             if bits == 0 {
-                break 'down;
+                break;
             }
-            let first = bits.trailing_zeros() as usize;
-            bits &= bits - 1;
-            if bits == 0 {
-                current = node.child[first];
-                continue 'down;
-            }
-            // Nearest first: the others wait, sorted, the farthest deepest.
+            // Nearest first: the others wait, sorted, the farthest deepest. One or two is usual
+            // and takes no branch, for none would be predicted.
             let enter = enter.store();
-            let base = stack.count;
-            let mut nearest = Waiting {
-                reference: node.child[first],
-                with: enter[first],
+            let child = |bits: u32| {
+                let k = bits.trailing_zeros() as usize % WIDTH;
+                waiting(enter[k], node.child[k])
             };
-            while bits != 0 {
-                let k = bits.trailing_zeros() as usize;
-                bits &= bits - 1;
-                let mut next = Waiting {
-                    reference: node.child[k],
-                    with: enter[k],
-                };
-                if next.with < nearest.with {
-                    std::mem::swap(&mut next, &mut nearest);
-                }
-                stack.insert(base, next);
+            let mut rest = bits & (bits - 1);
+            let first = child(bits);
+            let second = child(if rest == 0 { bits } else { rest });
+            let mut nearest = first.min(second);
+            let base = stack.count;
+            let farther = first.max(second);
+            tree.prefetch(farther as u32);
+            stack.put(base, farther);
+            stack.count += usize::from(rest != 0);
+            rest &= rest.wrapping_sub(1);
+            while rest != 0 {
+                let next = child(rest);
+                tree.prefetch(next as u32);
+                rest &= rest - 1;
+                stack.insert(base, next.max(nearest));
+                nearest = nearest.min(next);
             }
-            current = nearest.reference;
+            current = nearest as u32;
         }
         if current & CHILD_IS_LEAF != 0 {
             let leaf = tree.leaf(current);
@@ -417,8 +397,8 @@ fn closest<L: Lanes>(tree: &Tree, ray: &Ray, room: &mut Room<f32>) -> Hit {
         }
         loop {
             let Some(next) = stack.pop() else { break 'walk };
-            if next.with <= best.t {
-                current = next.reference;
+            if f32::from_bits((next >> 32) as u32) <= best.t {
+                current = next as u32;
                 break;
             }
         }
@@ -498,19 +478,22 @@ pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32) -> f32 {
     loop {
         if current & CHILD_IS_LEAF == 0 {
             let node = tree.node(current);
-            let (mut bits, _) = beam.boxes(node, t_max);
+            let (bits, _) = beam.boxes(node, t_max);
             if bits != 0 {
-                let first = bits.trailing_zeros() as usize;
-                bits &= bits - 1;
-                while bits != 0 {
-                    let k = bits.trailing_zeros() as usize;
-                    bits &= bits - 1;
-                    stack.push(Waiting {
-                        reference: node.child[k],
-                        with: (),
-                    });
+                // As in `closest`, one or two without a branch.
+                let child = |bits: u32| node.child[bits.trailing_zeros() as usize % WIDTH];
+                current = child(bits);
+                let mut rest = bits & (bits - 1);
+                let second = child(if rest == 0 { bits } else { rest });
+                tree.prefetch(second);
+                stack.put(stack.count, second);
+                stack.count += usize::from(rest != 0);
+                rest &= rest.wrapping_sub(1);
+                while rest != 0 {
+                    stack.push(child(rest));
+                    tree.prefetch(child(rest));
+                    rest &= rest - 1;
                 }
-                current = node.child[first];
                 continue;
             }
         } else {
@@ -528,7 +511,7 @@ pub(crate) fn visibility<L: Lanes>(tree: &Tree, ray: &Ray, root: u32) -> f32 {
         let Some(next) = stack.pop() else {
             return passed;
         };
-        current = next.reference;
+        current = next;
     }
 }
 
