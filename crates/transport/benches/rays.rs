@@ -132,7 +132,7 @@ fn bench(
         let closest = hits
             .iter()
             .zip(&their_hits[k])
-            .filter(|(a, b)| a.triangle != b.1 && !((a.t - b.0).abs() <= 1e-3 * b.0.abs()))
+            .filter(|(a, b)| a.triangle != b.1 && (a.t - b.0).abs() > 1e-3 * b.0.abs())
             .count();
         let differ = |i: usize| {
             let pairs = visible[i].iter().zip(&their_visible[k][i]);

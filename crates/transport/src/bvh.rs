@@ -134,7 +134,7 @@ impl Kernel {
 
 /// A ray engine over one scene: closest hit and visibility, on the processor.
 ///
-/// Built in time n log n; about 80 bytes a triangle ([`Bvh::bytes`]) beside the scene, which it
+/// Built in time n log n; about 55 bytes a triangle ([`Bvh::bytes`]) beside the scene, which it
 /// shares. Holds fewer than 2^31 triangles.
 pub struct Bvh {
     tree: Tree,
