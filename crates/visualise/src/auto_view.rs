@@ -267,3 +267,73 @@ fn judge(
     }
     scores
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use luxel_core::{Finish, Rgb};
+    use luxel_scenes::Builder;
+
+    #[test]
+    fn a_room_is_seen_from_inside_at_eye_height() {
+        let mut scene = testing::room();
+        scene.luminaires.push(luxel_core::Luminaire {
+            name: "lamp".into(),
+            position: Vec3::new(2.5, 2.8, 2.0),
+            direction: -Vec3::Y,
+            kind: LuminaireKind::Point { intensity: Rgb::splat(100.0), range_m: f32::INFINITY },
+            group: luxel_core::GroupId(0),
+        });
+        let view = first_view(&scene, &testing::caster(&scene));
+        let (low, high) = scene.bounds();
+        assert!(view.eye.cmpgt(low).all() && view.eye.cmplt(high).all(), "{}", view.eye);
+        assert!((view.eye.y - 1.6).abs() < 1e-3);
+        // From near one wall to the far side: the longest way is 6.4 m.
+        let mut hit = [Hit::MISS];
+        testing::caster(&scene).closest(&[ray(view.eye, view.forward)], &mut hit);
+        assert!(hit[0].t > 3.0, "{}", hit[0].t);
+    }
+
+    #[test]
+    fn a_small_box_is_seen_through_its_open_side() {
+        let mut b = Builder::new("box");
+        let grey = b.matte("grey", 0.5, 0.5, 0.5);
+        // All but the side at low z (the fifth of the six, see `Builder::room`).
+        b.on("box", grey).room(Vec3::ZERO, Vec3::splat(0.5), 63);
+        let mut scene = b.build();
+        let keep: Vec<usize> = (0..scene.triangles.len())
+            .filter(|&t| !scene.corners(t).iter().all(|p| p.z == 0.0))
+            .collect();
+        scene.triangles = keep.iter().map(|&t| scene.triangles[t]).collect();
+        scene.surface_of.truncate(keep.len());
+        scene.source_triangle.truncate(keep.len());
+        scene.uvs.clear();
+        scene.surfaces[0].triangles = 0..keep.len() as u32;
+        assert_eq!(keep.len(), 10);
+        let view = auto_view(&scene, &testing::caster(&scene));
+        assert!(view.eye.z < 0.0 && view.forward.z > 0.8, "{view:?}");
+    }
+
+    #[test]
+    fn an_object_in_the_open_is_seen_from_around_it() {
+        let mut b = Builder::new("ball");
+        let grey = b.matte("grey", 0.5, 0.5, 0.5);
+        b.on("ball", grey).ball(Vec3::new(7.0, 3.0, -2.0), 1.0, 8, 16);
+        let scene = b.build();
+        let view = auto_view(&scene, &testing::caster(&scene));
+        let towards = Vec3::new(7.0, 3.0, -2.0) - view.eye;
+        assert!(towards.length() > 2.0);
+        assert!(view.forward.dot(towards.normalize()) > 0.99);
+    }
+
+    #[test]
+    fn views_of_the_file_come_first_and_an_empty_scene_has_one() {
+        let empty = Scene { up: Vec3::Z, ..Scene::default() };
+        let caster = testing::caster(&testing::square(Finish::default()));
+        assert!((auto_view(&empty, &caster).forward.length() - 1.0).abs() < 1e-5);
+        let mut scene = testing::room();
+        scene.views.push(named(Vec3::ONE, Vec3::X, Vec3::Y, 1.0));
+        assert_eq!(first_view(&scene, &caster).eye, Vec3::ONE);
+    }
+}

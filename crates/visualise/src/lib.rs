@@ -12,6 +12,8 @@ mod places;
 pub mod preview;
 mod raster;
 pub mod report;
+#[cfg(test)]
+mod testing;
 pub mod tone;
 
 pub use auto_view::{auto_view, first_view};

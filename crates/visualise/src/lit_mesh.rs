@@ -508,3 +508,234 @@ fn join(group: &mut [usize], a: usize, b: usize) {
     let (a, b) = (root(group, a), root(group, b));
     group[a.max(b)] = a.min(b);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use luxel_core::{ElementId, Finish, GroupId};
+    use luxel_scenes::Builder;
+    use std::collections::HashMap;
+
+    /// Edges used in one direction only: the border, and every crack.
+    fn open_edges(mesh: &LitMesh) -> Vec<[Vec3; 2]> {
+        let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
+        for t in &mesh.triangles {
+            for k in 0..3 {
+                let (a, b) = (t[k], t[(k + 1) % 3]);
+                *edges.entry([a.min(b), a.max(b)]).or_default() += if a < b { 1 } else { -1 };
+            }
+        }
+        let open = edges.into_iter().filter(|e| e.1 != 0);
+        open.map(|(e, _)| e.map(|v| mesh.positions[v as usize])).collect()
+    }
+
+    fn area(mesh: &LitMesh) -> f64 {
+        (0..mesh.triangles.len()).map(|t| mesh.area(t)).sum()
+    }
+
+    fn square_front(grid: u32) -> (Scene, Front) {
+        let scene = testing::square(Finish::default());
+        let mut front = Front::new(2);
+        let shape = Shape::Parallelogram {
+            origin: Vec3::new(-1.0, 0.0, 1.0),
+            edge_u: Vec3::X * 2.0,
+            edge_v: Vec3::Z * -2.0,
+        };
+        front.add_patch(SurfaceId(0), Side::Front, shape, [grid, grid], GroupId::NONE, &[0, 1]);
+        (scene, front)
+    }
+
+    #[test]
+    fn elements_of_a_patch_share_vertices() {
+        let (scene, front) = square_front(4);
+        let mesh = LitMesh::build(&scene, &front, None);
+        // A grid of 4 x 4 has 5 x 5 corners and two triangles a cell.
+        assert_eq!((mesh.positions.len(), mesh.triangles.len()), (25, 32));
+        assert!((area(&mesh) - 4.0).abs() < 1e-5, "f32 positions");
+        assert_eq!(mesh.parts.len(), 1);
+        assert_eq!(mesh.elements(), 16);
+        for (p, r) in mesh.positions.iter().zip(mesh.receivers()) {
+            assert_eq!(r.normal, Vec3::Y);
+            let is_inner = p.x.abs() < 0.99 && p.z.abs() < 0.99;
+            let moved = (*p - r.position).length();
+            // Inset of 2 % of half a diagonal of 0.5 m cells; inner ones cancel.
+            assert!(if is_inner { moved < 1e-6 } else { (0.004..0.008).contains(&moved) });
+            assert!(r.position.x.abs() < 0.996 && r.position.z.abs() < 0.996);
+        }
+    }
+
+    #[test]
+    fn quadtree_levels_leave_no_crack() {
+        let (scene, mut front) = square_front(3);
+        // Three levels beside one another, more than 2:1 balance would allow.
+        let [a, _, _, d] = front.split(ElementId(4)).expect("no cluster");
+        front.split(d).expect("no cluster");
+        let [_, b, ..] = front.split(a).expect("no cluster");
+        front.split(b).expect("no cluster");
+        let mesh = LitMesh::build(&scene, &front, None);
+        assert!((area(&mesh) - 4.0).abs() < 1e-5);
+        for [p, q] in open_edges(&mesh) {
+            let on_border = [p.x, p.z].iter().zip([q.x, q.z]).any(|(a, b)| *a == b && a.abs() == 1.0);
+            assert!(on_border, "crack from {p} to {q}");
+        }
+    }
+
+    #[test]
+    fn patches_with_grids_that_do_not_match_leave_no_crack() {
+        // The two triangles of the square with 3 and 4 cells along the shared diagonal.
+        let scene = testing::square(Finish::default());
+        let mut front = Front::new(2);
+        for (t, n) in [(0usize, 3), (1, 4)] {
+            let [a, b, c] = scene.corners(t);
+            let shape = Shape::Triangle { origin: a, edge_u: b - a, edge_v: c - a };
+            front.add_patch(SurfaceId(0), Side::Front, shape, [n, n], GroupId::NONE, &[t as u32]);
+        }
+        let mesh = LitMesh::build(&scene, &front, None);
+        assert!((area(&mesh) - 4.0).abs() < 1e-5);
+        for [p, q] in open_edges(&mesh) {
+            assert!((p.x == q.x && p.x.abs() == 1.0) || (p.z == q.z && p.z.abs() == 1.0));
+        }
+    }
+
+    #[test]
+    fn a_fold_splits_vertices_and_flat_neighbours_share_them() {
+        let scene = testing::room();
+        let mesh = LitMesh::build(&scene, &testing::front(&scene, 1.0, false), None);
+        assert!((area(&mesh) - 94.0).abs() < 1e-3, "2 (15 + 12 + 20) m²");
+        for [p, q] in open_edges(&mesh) {
+            // Only along the twelve edges of the room.
+            let flat = |v: f32, far: f32| v.abs() < 1e-5 || (v - far).abs() < 1e-5;
+            let sides = [(p.x, q.x, 5.0), (p.y, q.y, 3.0), (p.z, q.z, 4.0)];
+            let on = sides.iter().filter(|(a, b, far)| flat(*a, *far) && flat(*b, *far)).count();
+            assert!(on >= 2, "{p} to {q} is open inside a wall");
+        }
+        for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
+            assert!((n.length() - 1.0).abs() < 1e-5);
+            assert!((Vec3::new(2.5, 1.5, 2.0) - *p).dot(*n) > 0.0, "normals point into the room");
+        }
+    }
+
+    #[test]
+    fn a_wall_on_the_floor_splits_the_vertices_at_its_foot() {
+        // A thin wall stands on x = 0, along the middle line of a grid of 4 x 4.
+        let mut b = Builder::new("walled");
+        let grey = b.thin("grey", 0.5, 0.5, 0.5);
+        let p = Vec3::new;
+        let floor = [p(-1.0, 0.0, 1.0), p(1.0, 0.0, 1.0), p(1.0, 0.0, -1.0), p(-1.0, 0.0, -1.0)];
+        b.on("floor", grey).polygon(&floor);
+        let wall = [p(0.0, 0.0, 1.0), p(0.0, 0.0, -1.0), p(0.0, 1.0, -1.0), p(0.0, 1.0, 1.0)];
+        b.on("wall", grey).polygon(&wall);
+        let scene = b.build();
+        let (_, mut front) = square_front(4);
+        front.patch_of.resize(4, [luxel_core::PatchId::NONE; 2]);
+        let caster = testing::caster(&scene);
+        assert_eq!(LitMesh::build(&scene, &front, None).positions.len(), 25);
+        let mesh = LitMesh::build(&scene, &front, Some(&caster));
+        // Each of the five vertices on the line becomes two.
+        assert_eq!(mesh.positions.len(), 30);
+        let foot: Vec<_> = (0..30).filter(|&v| mesh.positions[v].x.abs() < 1e-6).collect();
+        assert_eq!(foot.len(), 10);
+        for v in foot {
+            assert!(mesh.receivers()[v].position.x.abs() > 0.004, "on one side of the wall");
+        }
+    }
+
+    #[test]
+    fn texture_coordinates_follow_the_source_triangles() {
+        let mut b = Builder::new("picture");
+        let grey = b.matte("grey", 0.5, 0.5, 0.5);
+        let p = |x, z| Vec3::new(x, 0.0, z);
+        b.on("s", grey).picture([p(-1.0, 1.0), p(1.0, 1.0), p(1.0, -1.0), p(-1.0, -1.0)]);
+        let mut scene = b.build();
+        let (_, front) = square_front(4);
+        if scene.uvs.is_empty() {
+            let corner = |q: Vec3| Vec2::new(0.5 + 0.5 * q.x, 0.5 + 0.5 * q.z);
+            scene.uvs = (0..2).map(|t| scene.corners(t).map(corner)).collect();
+        }
+        let mesh = LitMesh::build(&scene, &front, None);
+        assert_eq!(mesh.uvs.len(), 25, "one affine map for both triangles: still shared");
+        for (p, uv) in mesh.positions.iter().zip(&mesh.uvs) {
+            // Bottom left of the picture is (0, 1), bottom right (1, 1).
+            let expected = Vec2::new(0.5 + 0.5 * p.x, 0.5 + 0.5 * p.z);
+            assert!((*uv - expected).length() < 1e-5, "{p}: {uv} for {expected}");
+        }
+        // A picture that starts anew on the second triangle splits the diagonal's five vertices.
+        scene.uvs[1] = scene.uvs[1].map(|uv| uv + Vec2::new(0.31, 0.0));
+        let split = LitMesh::build(&scene, &front, None);
+        assert!(split.positions.len() > 25);
+    }
+
+    #[test]
+    fn facets_of_a_cluster_share_vertices_above_the_surface() {
+        let mut b = Builder::new("ball");
+        let grey = b.matte("grey", 0.5, 0.5, 0.5);
+        b.on("ball", grey).ball(Vec3::ZERO, 1.0, 12, 24);
+        let scene = b.build();
+        let all: Vec<u32> = (0..scene.triangles.len() as u32).collect();
+        let mut front = Front::new(all.len());
+        front.add_cluster(&scene, SurfaceId(0), Side::Front, GroupId::NONE, &all);
+        let mesh = LitMesh::build(&scene, &front, None);
+        // Facets turn by 15 degrees from one to the next, less than the crease.
+        assert_eq!(mesh.positions.len(), scene.positions.len());
+        assert_eq!(mesh.triangles.len(), scene.triangles.len());
+        for (p, r) in mesh.positions.iter().zip(mesh.receivers()) {
+            assert!(r.normal.dot(p.normalize()) > 0.98, "smooth");
+            // Outside of every facet's plane, but for rounding.
+            for &t in &all {
+                let [a, b, c] = scene.corners(t as usize);
+                let n = (b - a).cross(c - a).normalize();
+                if scene.triangles[t as usize].iter().any(|&i| scene.positions[i as usize] == *p) {
+                    assert!((r.position - a).dot(n) > -1e-6);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_diagonal_follows_the_light() {
+        let (scene, front) = square_front(1);
+        // Two opposite corners bright: the diagonal joins equals, whichever way it was before.
+        for bright in [1.0, -1.0] {
+            let lux = |p: Vec3| Rgb::splat(if p.x * p.z * bright > 0.0 { 100.0 } else { 0.0 });
+            let mut mesh = testing::lit(&scene, &front, lux);
+            for _ in 0..2 {
+                let [a, b] = [mesh.triangles[0], mesh.triangles[1]];
+                let shared: Vec<f32> = a
+                    .iter()
+                    .filter(|v| b.contains(v))
+                    .map(|&v| mesh.irradiance[v as usize].g)
+                    .collect();
+                assert_eq!(shared.len(), 2);
+                assert_eq!(shared[0], shared[1]);
+                assert!((area(&mesh) - 4.0).abs() < 1e-5);
+                let again = mesh.irradiance.iter().flat_map(|e| e.to_array()).collect();
+                let answers = Irradiance { columns: 3, values: again, ..Irradiance::default() };
+                mesh.set_irradiance(&answers);
+            }
+        }
+    }
+
+    #[test]
+    fn dimming_scales_one_group_and_bad_numbers_become_dark() {
+        let (scene, front) = square_front(1);
+        let mut mesh = LitMesh::build(&scene, &front, None);
+        let mut values = vec![1.0, 2.0, 3.0, 10.0, 20.0, 30.0].repeat(4);
+        values[6] = f32::NAN;
+        let answers = Irradiance { columns: 6, values, ..Irradiance::default() };
+        mesh.set_dimmed(&answers, &[1.0, 0.5]);
+        assert_eq!(mesh.irradiance[0], Rgb::new(6.0, 12.0, 18.0));
+        assert_eq!(mesh.irradiance[1].r, 0.0);
+    }
+
+    #[test]
+    fn the_same_mesh_for_any_thread_count() {
+        let scene = testing::room();
+        let front = testing::front(&scene, 0.05, true);
+        let build = |n| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads");
+            pool.install(|| LitMesh::build(&scene, &front, Some(&testing::caster(&scene))))
+        };
+        assert!(build(1) == build(4));
+    }
+}

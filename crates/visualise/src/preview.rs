@@ -90,6 +90,9 @@ pub struct Shot {
 /// Precondition: the mesh is of this scene and its irradiance is set. A picture of no pixels is
 /// allowed.
 pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: usize) -> Shot {
+    if width == 0 || height == 0 {
+        return Shot { width, height, pixels: Vec::new() };
+    }
     let stage = Stage::new(scene, mesh);
     let near_m = (scene.diagonal() * 1e-4).clamp(1e-5, 0.02);
     let camera = Camera::new(view, width, height, near_m);
@@ -102,7 +105,7 @@ pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: u
     );
     let row = width * SUPER;
     let mut pixels = vec![[Seen::Blank(Rgb::BLACK); SAMPLES]; width * height];
-    pixels.par_chunks_mut(width.max(1)).enumerate().for_each(|(j, line)| {
+    pixels.par_chunks_mut(width).enumerate().for_each(|(j, line)| {
         // Neighbours mostly show the same triangle: what it needs is worked out once.
         let mut facet = stage.facet(NOTHING, &camera);
         for (i, pixel) in line.iter_mut().enumerate() {
@@ -503,5 +506,164 @@ impl Crossing {
         let w = [1.0 - u - v, u, v].map(|w| w.max(0.0));
         let sum = w[0] + w[1] + w[2];
         w.map(|w| w / sum)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use luxel_core::{Emission, GroupId};
+
+    fn look(eye: Vec3, target: Vec3, vertical_angle: f32) -> View {
+        let forward = (target - eye).normalize();
+        let up = if forward.y.abs() > 0.99 { -Vec3::Z } else { Vec3::Y };
+        View { name: "test".into(), eye, forward, up, vertical_angle }
+    }
+
+    fn down() -> View {
+        look(Vec3::Y * 2.0, Vec3::ZERO, 0.5)
+    }
+
+    fn centre(shot: &Shot) -> Seen {
+        shot.pixels[shot.height / 2 * shot.width + shot.width / 2][0]
+    }
+
+    fn luminance_of(seen: Seen) -> f32 {
+        match seen {
+            Seen::Surface { luminance, .. } => luminance.g,
+            other => panic!("no surface: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn luminance_is_reflected_and_own() {
+        // rho E / pi + L = 0.5 * 314.159 / pi + 7 = 57.
+        let finish = Finish {
+            emission: Some(Emission {
+                luminance: Rgb::splat(7.0),
+                texture: None,
+                group: GroupId(0),
+            }),
+            ..Finish::default()
+        };
+        let scene = testing::square(finish);
+        let front = testing::front(&scene, 0.3, false);
+        let mesh = testing::lit(&scene, &front, |_| Rgb::splat(100.0 * LAMBERTIAN));
+        let shot = shoot(&scene, &mesh, &down(), 33, 33);
+        let seen = luminance_of(centre(&shot));
+        assert!((seen - 57.0).abs() < 1e-3, "{seen}: f32 only");
+        let Seen::Surface { lux, .. } = centre(&shot) else { panic!("no surface") };
+        assert!((lux - 314.159).abs() < 1e-2);
+    }
+
+    #[test]
+    fn light_is_linear_between_vertices() {
+        let scene = testing::square(Finish::default());
+        let front = testing::front(&scene, 10.0, false);
+        let mesh = testing::lit(&scene, &front, |p| Rgb::splat(100.0 + 50.0 * p.x));
+        let view = look(Vec3::Y * 2.0, Vec3::ZERO, 2.0 * 0.5f32.atan());
+        let shot = shoot(&scene, &mesh, &view, 64, 64);
+        for i in 4..60 {
+            // The picture is 2 m wide; the middle of pixel i lies at x = (i + 1/2) / 32 - 1.
+            let x = (i as f32 + 0.5) / 32.0 - 1.0;
+            let of = |s: &Seen| match s {
+                Seen::Surface { lux, .. } => *lux,
+                _ => panic!("nothing at {i}"),
+            };
+            let lux = shot.pixels[32 * 64 + i].iter().map(of).sum::<f32>() / SAMPLES as f32;
+            assert!((lux - (100.0 + 50.0 * x)).abs() < 0.01, "{i}: {lux}");
+        }
+    }
+
+    #[test]
+    fn a_closed_room_shows_no_pinhole() {
+        let scene = testing::room();
+        let front = testing::front(&scene, 0.02, false);
+        let mesh = testing::lit(&scene, &front, |_| Rgb::splat(50.0));
+        for (eye, target) in [
+            (Vec3::new(1.0, 1.6, 1.0), Vec3::new(5.0, 1.0, 4.0)),
+            // A hand's breadth beside a wall: it reaches far out of the picture and behind the eye.
+            (Vec3::new(0.05, 1.6, 0.05), Vec3::new(0.06, 1.5, 4.0)),
+            (Vec3::new(2.5, 1.5, 2.0), Vec3::new(2.5, 0.0, 2.0)),
+        ] {
+            let shot = shoot(&scene, &mesh, &look(eye, target, 1.3), 320, 180);
+            let open = shot.pixels.iter().flatten().filter(|s| !matches!(s, Seen::Surface { .. }));
+            assert_eq!(open.count(), 0, "from {eye}");
+            for s in shot.pixels.iter().flatten() {
+                // rho E / pi everywhere.
+                assert!((luminance_of(*s) - 25.0 / LAMBERTIAN).abs() < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn the_nearest_surface_is_seen_and_backs_are_dark_grey() {
+        let mut scene = testing::square(Finish::default());
+        let front = testing::front(&scene, 10.0, false);
+        let mesh = testing::lit(&scene, &front, |_| Rgb::splat(50.0));
+        let below = look(-Vec3::Y * 2.0, Vec3::ZERO, 0.5);
+        let Seen::Blank(value) = centre(&shoot(&scene, &mesh, &below, 33, 33)) else {
+            panic!("the back is black")
+        };
+        assert!(value.g > 0.01 && value.g <= 0.05);
+        // Beside it: nothing, then a sky.
+        let away = look(Vec3::Y * 2.0, Vec3::new(0.0, 2.0, -9.0), 0.5);
+        assert!(matches!(centre(&shoot(&scene, &mesh, &away, 33, 33)), Seen::Blank(_)));
+        scene.sky = Some(testing::sky(3000.0));
+        let seen = centre(&shoot(&scene, &mesh, &away, 33, 33));
+        assert_eq!(seen, Seen::Sky(Rgb::splat(3000.0)));
+    }
+
+    #[test]
+    fn holes_and_half_transparent_surfaces_let_the_sky_through() {
+        let through = |alpha: Alpha, coverage: f32| {
+            let finish = Finish { alpha, coverage, ..Finish::default() };
+            let mut scene = testing::square(finish);
+            scene.sky = Some(testing::sky(1.0));
+            let front = testing::front(&scene, 10.0, false);
+            let mesh = testing::lit(&scene, &front, |_| Rgb::splat(50.0));
+            let shot = shoot(&scene, &mesh, &down(), 32, 32);
+            let all = shot.pixels.iter().flatten();
+            let sky = all.filter(|s| matches!(s, Seen::Sky(_))).count();
+            sky as f32 / (32.0 * 32.0 * SAMPLES as f32)
+        };
+        assert_eq!(through(Alpha::Mask { cutoff: 0.5 }, 0.4), 1.0);
+        assert_eq!(through(Alpha::Mask { cutoff: 0.5 }, 0.6), 0.0);
+        // Sixteen thresholds in each 4 x 4 samples: 0.25 covers exactly four of them.
+        assert_eq!(through(Alpha::Blend, 0.25), 0.75);
+    }
+
+    #[test]
+    fn pictures_of_any_size_develop_and_encode() {
+        let scene = testing::room();
+        let front = testing::front(&scene, 1.0, false);
+        let mesh = testing::lit(&scene, &front, |p| Rgb::splat(10.0 * (1.0 + p.x)));
+        let view = look(Vec3::new(1.0, 1.6, 1.0), Vec3::new(5.0, 1.0, 4.0), 1.2);
+        for (width, height) in [(1, 1), (2, 50), (50, 2), (640, 360)] {
+            let shot = shoot(&scene, &mesh, &view, width, height);
+            let picture = shot.develop(&shot.exposure());
+            let png = picture.png().expect("memory can be written");
+            let back = image::load_from_memory(&png).expect("a picture").to_rgb8();
+            assert_eq!(back.as_raw(), &picture.rgb);
+            assert_eq!(shot.false_colour(None).rgb.len(), 3 * width * height);
+        }
+        assert_eq!(shoot(&scene, &mesh, &view, 0, 0).false_colour(None).rgb.len(), 0);
+    }
+
+    #[test]
+    fn the_picture_is_neither_black_nor_burnt_at_any_strength_of_light() {
+        let scene = testing::room();
+        let front = testing::front(&scene, 0.2, false);
+        let view = look(Vec3::new(1.0, 1.6, 1.0), Vec3::new(5.0, 1.0, 4.0), 1.2);
+        for strength in [1e-4, 1.0, 1e6] {
+            let mesh = testing::lit(&scene, &front, |p| Rgb::splat(strength * (0.1 + p.x * p.y)));
+            let (picture, _) = render(&scene, &mesh, &view, &PreviewSettings::default());
+            let n = picture.rgb.len() as f64;
+            let mean = picture.rgb.iter().map(|&b| b as f64).sum::<f64>() / n;
+            let burnt = picture.rgb.iter().filter(|&&b| b == 255).count() as f64 / n;
+            assert!((70.0..190.0).contains(&mean), "mean {mean} at {strength}");
+            assert!(burnt <= 0.01, "{burnt} burnt at {strength}");
+        }
     }
 }

@@ -394,3 +394,120 @@ fn shortened(name: &str, width: usize) -> String {
         clean().take(width - 1).chain(['…']).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use luxel_core::{Finish, Rgb};
+
+    #[test]
+    fn statistics_are_those_of_the_linear_light() {
+        // E = 100 + 50 x over -1..1: mean 100, from 50 to 150, at any fineness of the mesh.
+        for area in [10.0, 0.3] {
+            let scene = testing::square(Finish::default());
+            let front = testing::front(&scene, area, false);
+            let mesh = testing::lit(&scene, &front, |p| Rgb::splat(100.0 + 50.0 * p.x));
+            let all = surface_statistics(&scene, &mesh);
+            assert_eq!(all.len(), 1);
+            let s = &all[0];
+            assert_eq!((s.name.as_str(), s.side.as_str()), ("square", "front"));
+            assert!((s.area_m2 - 4.0).abs() < 1e-5, "f32 positions");
+            assert!((s.mean_lux - 100.0).abs() < 1e-3, "weights of luminance sum to 1 in f32");
+            assert!((s.min_lux - 50.0).abs() < 1e-3 && (s.max_lux - 150.0).abs() < 1e-3);
+            // An error of 1 lux at every vertex.
+            assert!((s.error_lux - 1.0).abs() < 1e-6);
+            // Root of the mean of E² = 10,000 + 2500 / 3 (a little less between the vertices'
+            // squares: they are averaged, so a little more on the coarse mesh).
+            let relative = relative_error(&mesh).expect("lit");
+            assert!((1.0 / relative - 104.1).abs() < 8.0, "{relative}");
+        }
+    }
+
+    fn report(surfaces: usize) -> Report {
+        let surface = |k: usize| SurfaceLight {
+            surface: k as u32,
+            name: format!("wall {k}"),
+            side: "front".into(),
+            area_m2: (k + 1) as f64,
+            mean_lux: 123.4,
+            min_lux: 0.5,
+            max_lux: 1234.5,
+            error_lux: 1.0,
+        };
+        let flux = Flux::balance(1000.0, 900.0, 90.0, 5.0);
+        Report {
+            format: FORMAT,
+            accuracy: Accuracy { asked: 0.02, reached: Some(0.013), ..Accuracy::default() },
+            energy: Energy::from_groups(vec![GroupFlux { name: "lamp".into(), flux }]),
+            stages: vec![Stage { name: "solve".into(), wall_s: 1.25, cpu_s: Some(2.4) }],
+            surfaces: (0..surfaces).map(surface).collect(),
+            state: State::Finished,
+            ..Report::default()
+        }
+    }
+
+    #[test]
+    fn the_table_is_short_and_says_what_matters() {
+        let text = table(&report(40));
+        assert!(text.lines().count() <= 22, "{text}");
+        assert!(text.contains("wall 39") && !text.contains("wall 3 "), "the largest first");
+        assert!(text.contains("and 25 more"), "{text}");
+        assert!(text.contains("imbalance 5.00 lm (+0.50 %)"), "{text}");
+        assert!(text.contains("1.30 % reached, 2.00 % asked"), "{text}");
+        assert!(text.contains("1.25 s"), "{text}");
+    }
+
+    #[test]
+    fn sides_of_one_name_are_one_row() {
+        let mut r = report(2);
+        r.surfaces[1].name = "wall 0".into();
+        r.surfaces[0].mean_lux = 100.0;
+        r.surfaces[1].mean_lux = 400.0;
+        // (1 * 100 + 2 * 400) / 3 m².
+        assert!(table(&r).lines().nth(1).expect("a row").contains("300"));
+        r.surfaces[0].name = "evil\u{1b}[2J name".into();
+        assert!(!table(&r).contains('\u{1b}'));
+    }
+
+    #[test]
+    fn json_goes_there_and_back_and_holds_no_made_up_numbers() {
+        let mut r = report(3);
+        let back: Report = serde_json::from_str(&r.to_json()).expect("our own text");
+        assert_eq!(back, r);
+        r.accuracy.asked = f64::NAN;
+        let value: serde_json::Value = serde_json::from_str(&r.to_json()).expect("JSON");
+        assert!(value["accuracy"]["asked"].is_null());
+        assert!(value["memory_peak_bytes"].is_null());
+        assert_eq!(value["state"], "finished");
+        assert_eq!(value["energy"]["groups"][0]["emitted_lm"], 1000.0);
+    }
+
+    /// Names of all members of a JSON value, with their way down.
+    fn members(value: &serde_json::Value, out: &mut Vec<String>) {
+        match value {
+            serde_json::Value::Object(map) => {
+                for (name, inner) in map {
+                    out.push(name.clone());
+                    members(inner, out);
+                }
+            }
+            serde_json::Value::Array(list) => list.iter().for_each(|v| members(v, out)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn every_member_is_in_the_schema_document() {
+        let mut r = report(1);
+        r.exposure = Some(Exposure::default());
+        r.warnings = vec![Oddity::default()];
+        let schema = include_str!("../../../docs/report-schema.md");
+        let mut names = Vec::new();
+        let value = serde_json::from_str(&r.to_json()).expect("JSON");
+        members(&value, &mut names);
+        for name in names {
+            assert!(schema.contains(&format!("`{name}`")), "{name} is not documented");
+        }
+    }
+}

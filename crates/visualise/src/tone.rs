@@ -30,7 +30,8 @@ impl Exposure {
     /// For a picture whose pixels have these luminances (cd/m², any order; zeros and numbers
     /// that are not finite do not count).
     ///
-    /// The log-average becomes middle grey; at least 99 % of the given values stay below white,
+    /// The log-average becomes middle grey, or less where a fifth of the picture is far brighter;
+    /// at least 99 % of the given values stay below white,
     /// unless the brightest percent is over a thousand times the average.
     pub fn automatic(luminances: &[f32]) -> Exposure {
         let mut lit: Vec<f32> =
@@ -44,7 +45,9 @@ impl Exposure {
         let sum: f64 = lit.iter().map(|l| l.clamp(bounds[0], bounds[1]).ln() as f64).sum();
         let average = (sum / lit.len() as f64).exp() as f32;
         // x / (1 + x) = key before the curve's end at white, which lies far above the key.
-        let scale = KEY / (1.0 - KEY) / average;
+        // Where a dark half pulls the average down, the bright fifth still keeps its drawing:
+        // three quarters of white.
+        let scale = (KEY / (1.0 - KEY) / average).min(3.0 / at(0.8));
         let white = (at(0.995) * scale * 1.05).clamp(1.5, 250.0);
         Exposure { scale, white }
     }
@@ -64,6 +67,9 @@ impl Exposure {
         let x = luminance.luminance() * self.scale;
         if x.is_nan() || x <= 0.0 {
             return Rgb::BLACK;
+        }
+        if x.is_infinite() {
+            return Rgb::WHITE;
         }
         // Beyond white all is white; f32 would otherwise overflow in the square.
         let x = x.min(self.white);

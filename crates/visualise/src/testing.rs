@@ -1,0 +1,58 @@
+//! Small scenes and fronts for the tests of this crate.
+
+use crate::lit_mesh::LitMesh;
+use luxel_core::{Finish, Front, Rgb, Scene, Sky, Vec3};
+use luxel_gather::Irradiance;
+use luxel_mesh::{MeshSettings, Strategy, Uniform};
+use luxel_scenes::Builder;
+use luxel_transport::bvh::Bvh;
+use std::sync::Arc;
+
+/// A uniform front with elements of at most this area.
+pub fn front(scene: &Scene, max_area_m2: f32, cluster: bool) -> Front {
+    let settings = MeshSettings { max_area_m2, min_edge_m: 1e-3, max_elements: 100_000, cluster };
+    Uniform::new(settings).initial(scene)
+}
+
+/// The ray engine of a scene.
+pub fn caster(scene: &Scene) -> Bvh {
+    Bvh::build(&Arc::new(scene.clone()))
+}
+
+/// A room of 5 x 3 x 4 m whose walls are seen from inside.
+pub fn room() -> Scene {
+    let mut b = Builder::new("room");
+    let grey = b.matte("grey", 0.5, 0.5, 0.5);
+    b.on("room", grey).room(Vec3::ZERO, Vec3::new(5.0, 3.0, 4.0), 63);
+    b.build()
+}
+
+/// A level square of 2 x 2 m around the origin, front up, of this finish.
+pub fn square(finish: Finish) -> Scene {
+    let mut b = Builder::new("square");
+    let f = b.finish(finish);
+    let p = |x, z| Vec3::new(x, 0.0, z);
+    b.on("square", f).polygon(&[p(-1.0, 1.0), p(1.0, 1.0), p(1.0, -1.0), p(-1.0, -1.0)]);
+    b.build()
+}
+
+/// The mesh of a scene with the illuminance that `lux` gives at each vertex.
+pub fn lit(scene: &Scene, front: &Front, lux: impl Fn(Vec3) -> Rgb) -> LitMesh {
+    let mut mesh = LitMesh::build(scene, front, None);
+    let values = mesh.positions.iter().flat_map(|&p| lux(p).to_array()).collect();
+    let n = mesh.positions.len();
+    let answers = Irradiance {
+        columns: 3,
+        values,
+        layer_errors: vec![1.0; n],
+        errors: vec![1.0; n],
+        rays: 0,
+    };
+    mesh.set_irradiance(&answers);
+    mesh
+}
+
+/// A sky of this luminance.
+pub fn sky(luminance: f32) -> Sky {
+    Sky { luminance: Rgb::splat(luminance), group: luxel_core::GroupId(0) }
+}
