@@ -8,7 +8,8 @@ use crate::error::Error;
 use crate::matter::Matter;
 use crate::settings::Settings;
 use crate::stage::{Clock, Stage};
-use luxel_core::{Front, Layers, Scene, Solution, Warnings};
+use luxel_core::quantity::Exitance;
+use luxel_core::{Front, Layers, Rgb, Scene, Solution, Warnings};
 use luxel_gather::{Accuracy, DirectLights, ElementDirect, Gatherer, Irradiance, Receiver};
 use luxel_io::{Document, Source, scene_ops};
 use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
@@ -143,7 +144,9 @@ impl Session {
     /// What depends on the front alone: direct light of its elements, and its form factors.
     fn take_front(&mut self) -> Result<(), Error> {
         self.lights = DirectLights::new(&self.scene, &self.front);
-        let settings = ElementDirect { seed: self.settings.seed, ..ElementDirect::default() };
+        let samples = if self.front.len() > MANY_ELEMENTS { 4 } else { 16 };
+        let settings =
+            ElementDirect { samples, seed: self.settings.seed, ..ElementDirect::default() };
         let direct =
             self.lights.element_irradiance(&self.scene, &self.front, &self.caster, &settings);
         self.matter = Matter::new(&self.scene, &self.front, &self.lights, &direct);
@@ -240,6 +243,13 @@ impl Session {
         let problem = self.matter.problem(Transport::Lines(&lines), self.settings.seed);
         solution.exitance = luxel_solve::ambient::displayed(&problem, &solution);
         solution
+    }
+
+    /// All that leaves an element, own emission and reflected light of every group, lm/m².
+    pub fn leaving(&self, solution: &Solution, element: usize) -> Exitance {
+        let apart = self.lights.is_direct(self.front.patch[element]);
+        let own = if apart { self.front.emission[element] } else { Rgb::BLACK };
+        Exitance::new(solution.total(element) + own)
     }
 
     /// Takes up a stored solution of this very scene and settings.
@@ -368,6 +378,9 @@ impl Iterator for Session {
         Some(self.progress)
     }
 }
+
+/// Of more elements each looks at a light from fewer points: neighbours even it out.
+const MANY_ELEMENTS: usize = 100_000;
 
 /// Lines for the energy balance: 0.1 % for the whole scene.
 const BALANCE_LINES: u64 = 1 << 20;

@@ -127,7 +127,7 @@ fn furnaces(check: &mut Check<'_>) {
             let solution = session.solution();
             let front = session.front();
             let mean = (0..front.len())
-                .map(|e| front.area[e] as f64 * solution.total(e).luminance() as f64)
+                .map(|e| front.area[e] as f64 * session.leaving(&solution, e).value() as f64)
                 .sum::<f64>()
                 / front.total_area();
             // Stored factors carry the closure of sampled visibility; lines their noise.
@@ -139,6 +139,7 @@ fn furnaces(check: &mut Check<'_>) {
 /// An isotropic lamp in the middle of a cube: mean illuminance flux / (A (1 - rho)).
 fn lamps(check: &mut Check<'_>) {
     let mut scene = scenes::closed_box(4.0, 4.0, 4.0, [0.5; 6]);
+    scene.finishes.iter_mut().for_each(|f| f.emission = None);
     let (low, high) = scene.bounds();
     let centre = (low + high) * 0.5;
     let lamp = format!("10000lm@{},{},{}", centre.x, centre.y, centre.z);

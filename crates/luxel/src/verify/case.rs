@@ -207,7 +207,7 @@ impl Case {
     pub fn tolerance_class(&self, class: &'static str) -> Option<(&str, Tolerance)> {
         let others: &[&str] = match class {
             "analytic" => &["patchwise", "mesh", "meshed", "montecarlo"],
-            "montecarlo" => &["mesh", "meshed", "hemicube", "tessellated", "analytic"],
+            "montecarlo" => &["mesh", "meshed", "quadrature", "hemicube", "tessellated", "analytic"],
             "tessellated" => &["montecarlo", "mesh", "meshed", "analytic"],
             "mesh" => &["meshed", "montecarlo", "analytic"],
             _ => &[],

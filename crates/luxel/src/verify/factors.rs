@@ -20,6 +20,9 @@ pub(super) fn answer(case: &Case) -> Vec<Found> {
 fn one(case: &Case, query: &Query) -> Found {
     let to = case.scene.surface(query.text("to").ok_or("the query names no surface 'to'")?)?;
     let value = match query.quantity.as_str() {
+        "configuration_factor" if case.scene.surfaces.len() > 1 => {
+            return super::rooms::configuration_factor(case, query, &to.id);
+        }
         "configuration_factor" => {
             let point = query.point("point").ok_or("the query has no point")?.into();
             let normal = query.point("normal").ok_or("the query has no normal")?.into();

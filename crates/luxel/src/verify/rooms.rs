@@ -17,7 +17,7 @@ use std::f64::consts::TAU;
 /// Facets around a sphere or disc.
 const AROUND: usize = 128;
 /// Facets of the prism that stands for a line source, and its radius, metres.
-const PRISM: usize = 48;
+const PRISM: usize = 24;
 const PRISM_RADIUS_M: f64 = 5e-4;
 /// Receivers over a surface for its mean.
 const MEAN_RECEIVERS: u32 = 2048;
@@ -37,6 +37,23 @@ struct Built {
     class: &'static str,
 }
 
+/// Configuration factor past other surfaces: the illuminance that the surface gives when it
+/// alone shines with 1 lm/m² and nothing reflects.
+pub(super) fn configuration_factor(case: &Case, query: &Query, to: &str) -> Found {
+    check_scene(case)?;
+    let mut lone = Case::bare(&case.id);
+    lone.scene.surfaces = case.scene.surfaces.clone();
+    for surface in &mut lone.scene.surfaces {
+        surface.reflectance = Bands::Grey(0.0);
+        surface.exitance = Bands::Grey(if surface.id == to { 1.0 } else { 0.0 });
+    }
+    let built = build(&lone)?;
+    let point = query.point("point").ok_or("the query has no point")?;
+    let normal = query.point("normal").ok_or("the query has no normal")?;
+    let light = built.ask(&[receiver(point, normal)], 2e-4, 1 << 16);
+    Ok(Answer::one(light[0].band(None), "montecarlo"))
+}
+
 pub(super) fn answer(case: &Case) -> Vec<Found> {
     match build(case) {
         Ok(built) => case.queries.iter().map(|q| one(case, &built, q)).collect(),
@@ -44,10 +61,17 @@ pub(super) fn answer(case: &Case) -> Vec<Found> {
     }
 }
 
-fn build(case: &Case) -> Result<Built, String> {
-    if let Some(key) = case.scene.other.keys().find(|k| !["closed", "units", "channels"].contains(&k.as_str())) {
-        return Err(format!("scenes with '{key}' are not computed yet"));
+/// What is said of a scene and not understood may change its meaning.
+fn check_scene(case: &Case) -> Result<(), String> {
+    let known = ["closed", "units", "channels"];
+    match case.scene.other.keys().find(|k| !known.contains(&k.as_str())) {
+        Some(key) => Err(format!("scenes with '{key}' are not computed yet")),
+        None => Ok(()),
     }
+}
+
+fn build(case: &Case) -> Result<Built, String> {
+    check_scene(case)?;
     let mut scene = Scene {
         name: case.id.clone(),
         groups: vec![Group { name: "all".into() }],
