@@ -34,7 +34,11 @@ const LAMPS: usize = 4;
 
 /// The first view of the scene, or [`auto_view`].
 pub fn first_view(scene: &Scene, caster: &dyn RayCaster) -> View {
-    scene.views.first().cloned().unwrap_or_else(|| auto_view(scene, caster))
+    scene
+        .views
+        .first()
+        .cloned()
+        .unwrap_or_else(|| auto_view(scene, caster))
 }
 
 /// A sensible view of a scene; the same for any thread count.
@@ -65,7 +69,13 @@ pub fn auto_view(scene: &Scene, caster: &dyn RayCaster) -> View {
 }
 
 fn named(eye: Vec3, forward: Vec3, up: Vec3, vertical_angle: f32) -> View {
-    View { name: "automatic".into(), eye, forward, up, vertical_angle }
+    View {
+        name: "automatic".into(),
+        eye,
+        forward,
+        up,
+        vertical_angle,
+    }
 }
 
 /// Nearest hits of many rays.
@@ -76,7 +86,12 @@ fn cast(caster: &dyn RayCaster, rays: &[Ray]) -> Vec<Hit> {
 }
 
 fn ray(origin: Vec3, direction: Vec3) -> Ray {
-    Ray { origin, t_min: 0.0, direction, t_max: f32::INFINITY }
+    Ray {
+        origin,
+        t_min: 0.0,
+        direction,
+        t_max: f32::INFINITY,
+    }
 }
 
 /// Radical inverse: points of the Halton sequence [Halton60].
@@ -98,7 +113,10 @@ fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> 
     let points: Vec<Vec3> = (1..=PLACES)
         .map(|k| low + (high - low) * Vec3::new(halton(k, 2), halton(k, 3), halton(k, 5)))
         .collect();
-    let vertical: Vec<Ray> = points.iter().flat_map(|&p| [ray(p, -up), ray(p, up)]).collect();
+    let vertical: Vec<Ray> = points
+        .iter()
+        .flat_map(|&p| [ray(p, -up), ray(p, up)])
+        .collect();
     let hits = cast(caster, &vertical);
     let mut eyes = Vec::new();
     for (&p, found) in points.iter().zip(hits.chunks_exact(2)) {
@@ -107,7 +125,12 @@ fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> 
         }
         // In a small model a little above the middle; in a hall, or a file in another unit, not
         // with the chin on the floor.
-        let clear = found[0].t + if found[1].is_hit() { found[1].t } else { f32::INFINITY };
+        let clear = found[0].t
+            + if found[1].is_hit() {
+                found[1].t
+            } else {
+                f32::INFINITY
+            };
         let tall = clear.min((high - low).dot(up).abs());
         eyes.push(p - up * (found[0].t - EYE_M.max(0.15 * tall).min(0.55 * tall)));
     }
@@ -116,8 +139,10 @@ fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> 
         let angle = (k as f32 + 0.37) * std::f32::consts::TAU / DIRECTIONS as f32;
         across * angle.cos() + along * angle.sin()
     };
-    let backs: Vec<Ray> =
-        eyes.iter().flat_map(|&e| (0..DIRECTIONS).map(move |k| ray(e, -turn(k)))).collect();
+    let backs: Vec<Ray> = eyes
+        .iter()
+        .flat_map(|&e| (0..DIRECTIONS).map(move |k| ray(e, -turn(k))))
+        .collect();
     let walls = cast(caster, &backs);
     let mut views = Vec::new();
     for (i, &eye) in eyes.iter().enumerate() {
@@ -171,7 +196,9 @@ fn lamps(scene: &Scene) -> Vec<(Vec3, bool)> {
     }
     // The largest triangle of an emitting surface stands for it.
     for s in &scene.surfaces {
-        let Some(e) = &scene.finishes[s.finish.index()].emission else { continue };
+        let Some(e) = &scene.finishes[s.finish.index()].emission else {
+            continue;
+        };
         let mut largest = (0.0, 0);
         let mut area = 0.0;
         for t in s.triangles.clone() {
@@ -210,7 +237,10 @@ fn judge(
             (0..GRID[0] * GRID[1]).map(move |k| {
                 let x = 2.0 * ((k % GRID[0]) as f32 + 0.5) / GRID[0] as f32 - 1.0;
                 let y = 2.0 * ((k / GRID[0]) as f32 + 0.5) / GRID[1] as f32 - 1.0;
-                ray(v.eye, (v.forward + right * (x * tall * ASPECT) + up * (y * tall)).normalize())
+                ray(
+                    v.eye,
+                    (v.forward + right * (x * tall * ASPECT) + up * (y * tall)).normalize(),
+                )
             })
         })
         .collect();
@@ -242,7 +272,11 @@ fn judge(
             let hit = &hits[k];
             if !hit.is_hit() {
                 // Empty: neither lit nor ugly. Around an object there is much of it.
-                sum += if view.vertical_angle == OUTSIDE_ANGLE { 0.25 } else { 0.1 };
+                sum += if view.vertical_angle == OUTSIDE_ANGLE {
+                    0.25
+                } else {
+                    0.1
+                };
                 continue;
             }
             let triangle = hit.triangle as usize;
@@ -251,8 +285,14 @@ fn judge(
                 sum -= 0.5;
                 continue;
             }
-            let lit = free[k * lamps.len()..(k + 1) * lamps.len()].iter().any(|&f| f > 0.5);
-            let worth = if lit || finish.emission.is_some() { 1.0 } else { 0.3 };
+            let lit = free[k * lamps.len()..(k + 1) * lamps.len()]
+                .iter()
+                .any(|&f| f > 0.5);
+            let worth = if lit || finish.emission.is_some() {
+                1.0
+            } else {
+                0.3
+            };
             // Depth is better than a wall in the face.
             let near = (hit.t / comfortable).min(1.0);
             let deep = (hit.t / (0.5 * size)).min(1.0);
@@ -282,12 +322,19 @@ mod tests {
             name: "lamp".into(),
             position: Vec3::new(2.5, 2.8, 2.0),
             direction: -Vec3::Y,
-            kind: LuminaireKind::Point { intensity: Rgb::splat(100.0), range_m: f32::INFINITY },
+            kind: LuminaireKind::Point {
+                intensity: Rgb::splat(100.0),
+                range_m: f32::INFINITY,
+            },
             group: luxel_core::GroupId(0),
         });
         let view = first_view(&scene, &testing::caster(&scene));
         let (low, high) = scene.bounds();
-        assert!(view.eye.cmpgt(low).all() && view.eye.cmplt(high).all(), "{}", view.eye);
+        assert!(
+            view.eye.cmpgt(low).all() && view.eye.cmplt(high).all(),
+            "{}",
+            view.eye
+        );
         assert!((view.eye.y - 1.6).abs() < 1e-3);
         // From near one wall to the far side: the longest way is 6.4 m.
         let mut hit = [Hit::MISS];
@@ -319,7 +366,8 @@ mod tests {
     fn an_object_in_the_open_is_seen_from_around_it() {
         let mut b = Builder::new("ball");
         let grey = b.matte("grey", 0.5, 0.5, 0.5);
-        b.on("ball", grey).ball(Vec3::new(7.0, 3.0, -2.0), 1.0, 8, 16);
+        b.on("ball", grey)
+            .ball(Vec3::new(7.0, 3.0, -2.0), 1.0, 8, 16);
         let scene = b.build();
         let view = auto_view(&scene, &testing::caster(&scene));
         let towards = Vec3::new(7.0, 3.0, -2.0) - view.eye;
@@ -329,7 +377,10 @@ mod tests {
 
     #[test]
     fn views_of_the_file_come_first_and_an_empty_scene_has_one() {
-        let empty = Scene { up: Vec3::Z, ..Scene::default() };
+        let empty = Scene {
+            up: Vec3::Z,
+            ..Scene::default()
+        };
         let caster = testing::caster(&testing::square(Finish::default()));
         assert!((auto_view(&empty, &caster).forward.length() - 1.0).abs() < 1e-5);
         let mut scene = testing::room();

@@ -27,12 +27,20 @@ fn rows(c: char) -> [u8; HEIGHT] {
 }
 
 /// Calls `dot(x, y)` for each pixel of `text` at its top left corner, enlarged `zoom` times.
-pub(crate) fn draw(text: &str, [left, top]: [usize; 2], zoom: usize, mut dot: impl FnMut(usize, usize)) {
+pub(crate) fn draw(
+    text: &str,
+    [left, top]: [usize; 2],
+    zoom: usize,
+    mut dot: impl FnMut(usize, usize),
+) {
     for (k, c) in text.chars().enumerate() {
         for (j, bits) in rows(c).into_iter().enumerate() {
             for i in (0..5).filter(|i| bits >> (4 - i) & 1 == 1) {
                 for d in 0..zoom * zoom {
-                    dot(left + (k * ADVANCE + i) * zoom + d % zoom, top + j * zoom + d / zoom);
+                    dot(
+                        left + (k * ADVANCE + i) * zoom + d % zoom,
+                        top + j * zoom + d / zoom,
+                    );
                 }
             }
         }

@@ -96,7 +96,10 @@ impl LitMesh {
             .par_iter()
             .map(|elements| Builder::new(scene, front, &sources, elements).finish(caster))
             .collect();
-        let mut mesh = LitMesh { elements: front.len(), ..LitMesh::default() };
+        let mut mesh = LitMesh {
+            elements: front.len(),
+            ..LitMesh::default()
+        };
         for (part, elements) in built.into_iter().zip(&runs) {
             mesh.append(part, front, elements, !scene.uvs.is_empty());
         }
@@ -114,7 +117,8 @@ impl LitMesh {
                 self.uvs.push(v.uv);
             }
         }
-        self.triangles.extend(part.triangles.iter().map(|t| t.map(|i| i + vertex)));
+        self.triangles
+            .extend(part.triangles.iter().map(|t| t.map(|i| i + vertex)));
         self.quads.extend(part.quads.iter().map(|t| t + triangle));
         self.parts.push(LitPart {
             surface: patch.surface,
@@ -155,7 +159,13 @@ impl LitMesh {
                 }
             }
             // An estimate may fall a hair under zero; light does not.
-            Rgb::from(sum.map(|v| if v.is_finite() { v.max(0.0) as f32 } else { 0.0 }))
+            Rgb::from(sum.map(|v| {
+                if v.is_finite() {
+                    v.max(0.0) as f32
+                } else {
+                    0.0
+                }
+            }))
         };
         self.irradiance = answers.values.par_chunks(columns).map(row).collect();
         self.irradiance.resize(self.positions.len(), Rgb::BLACK);
@@ -233,7 +243,9 @@ impl Builder {
             let component = sources.component[patch.index()];
             for &(p, st) in &ring {
                 let place = places.find_or_add(component, p);
-                if sources.shared[component as usize] && borders(&front.patches[patch.index()], st) != 0 {
+                if sources.shared[component as usize]
+                    && borders(&front.patches[patch.index()], st) != 0
+                {
                     on_border.push(place);
                 }
             }
@@ -241,13 +253,18 @@ impl Builder {
         on_border.sort_unstable();
         on_border.dedup();
         let seams = places.seams(&on_border);
-        let mut b = Builder { places, corners: Vec::new(), outlines: Vec::new() };
+        let mut b = Builder {
+            places,
+            corners: Vec::new(),
+            outlines: Vec::new(),
+        };
         let mut points = Vec::new();
         for &e in elements {
             let id = front.patch[e as usize];
             let patch = &front.patches[id.index()];
             if let Shape::Cluster { triangles } = &patch.shape {
-                for c in &front.cluster_triangles[triangles.start as usize..triangles.end as usize] {
+                for c in &front.cluster_triangles[triangles.start as usize..triangles.end as usize]
+                {
                     b.add_facet(scene, c.triangle, patch.side);
                 }
                 continue;
@@ -269,7 +286,15 @@ impl Builder {
             let centre = ring.iter().map(|r| r.0).sum::<Vec3>() / ring.len() as f32;
             let source = sources.source_at(scene, id, centre);
             let uv = |p: Vec3| sources.uv(scene, source, p);
-            b.add_outline(component, &points, centre, patch.normal, front.area[e as usize], true, uv);
+            b.add_outline(
+                component,
+                &points,
+                centre,
+                patch.normal,
+                front.area[e as usize],
+                true,
+                uv,
+            );
         }
         b
     }
@@ -277,16 +302,36 @@ impl Builder {
     /// A triangle of a cluster, as in the source.
     fn add_facet(&mut self, scene: &Scene, triangle: u32, side: Side) {
         let [a, mut b, mut c] = scene.corners(triangle as usize);
-        let mut uvs = scene.uvs.get(triangle as usize).copied().unwrap_or_default();
+        let mut uvs = scene
+            .uvs
+            .get(triangle as usize)
+            .copied()
+            .unwrap_or_default();
         if side == Side::Back {
             std::mem::swap(&mut b, &mut c);
             uvs.swap(1, 2);
         }
         let cross = (b - a).as_dvec3().cross((c - a).as_dvec3());
-        let (normal, area) = (cross.normalize_or_zero().as_vec3(), (0.5 * cross.length()) as f32);
+        let (normal, area) = (
+            cross.normalize_or_zero().as_vec3(),
+            (0.5 * cross.length()) as f32,
+        );
         let points = [a, b, c];
-        let uv = |p: Vec3| points.iter().position(|q| *q == p).map_or(Vec2::ZERO, |k| uvs[k]);
-        self.add_outline(Places::FACETS, &points, (a + b + c) / 3.0, normal, area, false, uv);
+        let uv = |p: Vec3| {
+            points
+                .iter()
+                .position(|q| *q == p)
+                .map_or(Vec2::ZERO, |k| uvs[k])
+        };
+        self.add_outline(
+            Places::FACETS,
+            &points,
+            (a + b + c) / 3.0,
+            normal,
+            area,
+            false,
+            uv,
+        );
     }
 
     fn add_outline(
@@ -303,10 +348,22 @@ impl Builder {
         for &p in points {
             let place = self.places.find_or_add(component, p);
             let inset = p + (centre - p) * INSET;
-            self.corners.push(Corner { place, uv: uv(p), inset, normal, weight, flat });
+            self.corners.push(Corner {
+                place,
+                uv: uv(p),
+                inset,
+                normal,
+                weight,
+                flat,
+            });
         }
         let corners = first..self.corners.len() as u32;
-        self.outlines.push(Outline { corners, centre, uv: uv(centre), normal });
+        self.outlines.push(Outline {
+            corners,
+            centre,
+            uv: uv(centre),
+            normal,
+        });
     }
 
     fn finish(self, caster: Option<&dyn RayCaster>) -> Built {
@@ -322,14 +379,24 @@ impl Builder {
                 }
                 _ => {
                     let hub = vertices.len() as u32;
-                    let receiver = Receiver { position: o.centre, normal: o.normal };
-                    vertices.push(Vertex { position: o.centre, uv: o.uv, receiver });
-                    triangles
-                        .extend((0..v.len()).map(|k| [hub, v[k], v[(k + 1) % v.len()]]));
+                    let receiver = Receiver {
+                        position: o.centre,
+                        normal: o.normal,
+                    };
+                    vertices.push(Vertex {
+                        position: o.centre,
+                        uv: o.uv,
+                        receiver,
+                    });
+                    triangles.extend((0..v.len()).map(|k| [hub, v[k], v[(k + 1) % v.len()]]));
                 }
             }
         }
-        Built { vertices, triangles, quads }
+        Built {
+            vertices,
+            triangles,
+            quads,
+        }
     }
 
     /// Whether four corners make a quadrilateral, and not a triangle with a point on an edge.
@@ -371,7 +438,10 @@ impl Builder {
                 let mut group: Vec<usize> = (0..ring.len()).collect();
                 for i in 0..ring.len() {
                     for j in 0..i {
-                        let (a, b) = (&self.corners[ring[j] as usize], &self.corners[ring[i] as usize]);
+                        let (a, b) = (
+                            &self.corners[ring[j] as usize],
+                            &self.corners[ring[i] as usize],
+                        );
                         if !agree(a, b) {
                             continue;
                         }
@@ -411,13 +481,18 @@ impl Builder {
         places: Range<usize>,
         caster: Option<&dyn RayCaster>,
     ) -> Vec<bool> {
-        let Some(caster) = caster else { return Vec::new() };
+        let Some(caster) = caster else {
+            return Vec::new();
+        };
         let mut segments = Vec::new();
         for place in places {
             let ring = &by_place[start[place] as usize..start[place + 1] as usize];
             for i in 0..ring.len() {
                 for j in 0..i {
-                    let (a, b) = (&self.corners[ring[j] as usize], &self.corners[ring[i] as usize]);
+                    let (a, b) = (
+                        &self.corners[ring[j] as usize],
+                        &self.corners[ring[i] as usize],
+                    );
                     if agree(a, b) && is_tested(a, b, ring.len(), true) {
                         // Lifted by half the inset: what is lower than that casts no shadow that
                         // elements of this size could show.
@@ -445,7 +520,10 @@ impl Builder {
         let normal = if first.flat {
             first.normal
         } else {
-            corners().map(|c| c.normal * c.weight).sum::<Vec3>().normalize_or(first.normal)
+            corners()
+                .map(|c| c.normal * c.weight)
+                .sum::<Vec3>()
+                .normalize_or(first.normal)
         };
         // The mean over a full ring is the vertex itself; on a border it lies inside.
         let inset = corners().map(|c| c.inset).sum::<Vec3>() / members.len() as f32;
@@ -454,8 +532,15 @@ impl Builder {
             .map(|c| (position - inset).dot(c.normal) / normal.dot(c.normal).max(0.5))
             .fold(0.0f32, f32::max);
         let lift = if first.flat { 0.0 } else { lift };
-        let receiver = Receiver { position: inset + normal * lift, normal };
-        Vertex { position, uv: first.uv, receiver }
+        let receiver = Receiver {
+            position: inset + normal * lift,
+            normal,
+        };
+        Vertex {
+            position,
+            uv: first.uv,
+            receiver,
+        }
     }
 }
 
@@ -527,7 +612,8 @@ mod tests {
             }
         }
         let open = edges.into_iter().filter(|e| e.1 != 0);
-        open.map(|(e, _)| e.map(|v| mesh.positions[v as usize])).collect()
+        open.map(|(e, _)| e.map(|v| mesh.positions[v as usize]))
+            .collect()
     }
 
     fn area(mesh: &LitMesh) -> f64 {
@@ -542,7 +628,14 @@ mod tests {
             edge_u: Vec3::X * 2.0,
             edge_v: Vec3::Z * -2.0,
         };
-        front.add_patch(SurfaceId(0), Side::Front, shape, [grid, grid], GroupId::NONE, &[0, 1]);
+        front.add_patch(
+            SurfaceId(0),
+            Side::Front,
+            shape,
+            [grid, grid],
+            GroupId::NONE,
+            &[0, 1],
+        );
         (scene, front)
     }
 
@@ -560,7 +653,11 @@ mod tests {
             let is_inner = p.x.abs() < 0.99 && p.z.abs() < 0.99;
             let moved = (*p - r.position).length();
             // Inset of 2 % of half a diagonal of 0.5 m cells; inner ones cancel.
-            assert!(if is_inner { moved < 1e-6 } else { (0.004..0.008).contains(&moved) });
+            assert!(if is_inner {
+                moved < 1e-6
+            } else {
+                (0.004..0.008).contains(&moved)
+            });
             assert!(r.position.x.abs() < 0.996 && r.position.z.abs() < 0.996);
         }
     }
@@ -576,7 +673,10 @@ mod tests {
         let mesh = LitMesh::build(&scene, &front, None);
         assert!((area(&mesh) - 4.0).abs() < 1e-5);
         for [p, q] in open_edges(&mesh) {
-            let on_border = [p.x, p.z].iter().zip([q.x, q.z]).any(|(a, b)| *a == b && a.abs() == 1.0);
+            let on_border = [p.x, p.z]
+                .iter()
+                .zip([q.x, q.z])
+                .any(|(a, b)| *a == b && a.abs() == 1.0);
             assert!(on_border, "crack from {p} to {q}");
         }
     }
@@ -588,8 +688,19 @@ mod tests {
         let mut front = Front::new(2);
         for (t, n) in [(0usize, 3), (1, 4)] {
             let [a, b, c] = scene.corners(t);
-            let shape = Shape::Triangle { origin: a, edge_u: b - a, edge_v: c - a };
-            front.add_patch(SurfaceId(0), Side::Front, shape, [n, n], GroupId::NONE, &[t as u32]);
+            let shape = Shape::Triangle {
+                origin: a,
+                edge_u: b - a,
+                edge_v: c - a,
+            };
+            front.add_patch(
+                SurfaceId(0),
+                Side::Front,
+                shape,
+                [n, n],
+                GroupId::NONE,
+                &[t as u32],
+            );
         }
         let mesh = LitMesh::build(&scene, &front, None);
         assert!((area(&mesh) - 4.0).abs() < 1e-5);
@@ -607,12 +718,18 @@ mod tests {
             // Only along the twelve edges of the room.
             let flat = |v: f32, far: f32| v.abs() < 1e-5 || (v - far).abs() < 1e-5;
             let sides = [(p.x, q.x, 5.0), (p.y, q.y, 3.0), (p.z, q.z, 4.0)];
-            let on = sides.iter().filter(|(a, b, far)| flat(*a, *far) && flat(*b, *far)).count();
+            let on = sides
+                .iter()
+                .filter(|(a, b, far)| flat(*a, *far) && flat(*b, *far))
+                .count();
             assert!(on >= 2, "{p} to {q} is open inside a wall");
         }
         for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
             assert!((n.length() - 1.0).abs() < 1e-5);
-            assert!((Vec3::new(2.5, 1.5, 2.0) - *p).dot(*n) > 0.0, "normals point into the room");
+            assert!(
+                (Vec3::new(2.5, 1.5, 2.0) - *p).dot(*n) > 0.0,
+                "normals point into the room"
+            );
         }
     }
 
@@ -622,9 +739,19 @@ mod tests {
         let mut b = Builder::new("walled");
         let grey = b.thin("grey", 0.5, 0.5, 0.5);
         let p = Vec3::new;
-        let floor = [p(-1.0, 0.0, 1.0), p(1.0, 0.0, 1.0), p(1.0, 0.0, -1.0), p(-1.0, 0.0, -1.0)];
+        let floor = [
+            p(-1.0, 0.0, 1.0),
+            p(1.0, 0.0, 1.0),
+            p(1.0, 0.0, -1.0),
+            p(-1.0, 0.0, -1.0),
+        ];
         b.on("floor", grey).polygon(&floor);
-        let wall = [p(0.0, 0.0, 1.0), p(0.0, 0.0, -1.0), p(0.0, 1.0, -1.0), p(0.0, 1.0, 1.0)];
+        let wall = [
+            p(0.0, 0.0, 1.0),
+            p(0.0, 0.0, -1.0),
+            p(0.0, 1.0, -1.0),
+            p(0.0, 1.0, 1.0),
+        ];
         b.on("wall", grey).polygon(&wall);
         let scene = b.build();
         let (_, mut front) = square_front(4);
@@ -634,10 +761,15 @@ mod tests {
         let mesh = LitMesh::build(&scene, &front, Some(&caster));
         // Each of the five vertices on the line becomes two.
         assert_eq!(mesh.positions.len(), 30);
-        let foot: Vec<_> = (0..30).filter(|&v| mesh.positions[v].x.abs() < 1e-6).collect();
+        let foot: Vec<_> = (0..30)
+            .filter(|&v| mesh.positions[v].x.abs() < 1e-6)
+            .collect();
         assert_eq!(foot.len(), 10);
         for v in foot {
-            assert!(mesh.receivers()[v].position.x.abs() > 0.004, "on one side of the wall");
+            assert!(
+                mesh.receivers()[v].position.x.abs() > 0.004,
+                "on one side of the wall"
+            );
         }
     }
 
@@ -646,7 +778,8 @@ mod tests {
         let mut b = Builder::new("picture");
         let grey = b.matte("grey", 0.5, 0.5, 0.5);
         let p = |x, z| Vec3::new(x, 0.0, z);
-        b.on("s", grey).picture([p(-1.0, 1.0), p(1.0, 1.0), p(1.0, -1.0), p(-1.0, -1.0)]);
+        b.on("s", grey)
+            .picture([p(-1.0, 1.0), p(1.0, 1.0), p(1.0, -1.0), p(-1.0, -1.0)]);
         let mut scene = b.build();
         let (_, front) = square_front(4);
         if scene.uvs.is_empty() {
@@ -654,7 +787,11 @@ mod tests {
             scene.uvs = (0..2).map(|t| scene.corners(t).map(corner)).collect();
         }
         let mesh = LitMesh::build(&scene, &front, None);
-        assert_eq!(mesh.uvs.len(), 25, "one affine map for both triangles: still shared");
+        assert_eq!(
+            mesh.uvs.len(),
+            25,
+            "one affine map for both triangles: still shared"
+        );
         for (p, uv) in mesh.positions.iter().zip(&mesh.uvs) {
             // Bottom left of the picture is (0, 1), bottom right (1, 1).
             let expected = Vec2::new(0.5 + 0.5 * p.x, 0.5 + 0.5 * p.z);
@@ -685,7 +822,10 @@ mod tests {
             for &t in &all {
                 let [a, b, c] = scene.corners(t as usize);
                 let n = (b - a).cross(c - a).normalize();
-                if scene.triangles[t as usize].iter().any(|&i| scene.positions[i as usize] == *p) {
+                if scene.triangles[t as usize]
+                    .iter()
+                    .any(|&i| scene.positions[i as usize] == *p)
+                {
                     assert!((r.position - a).dot(n) > -1e-6);
                 }
             }
@@ -710,7 +850,11 @@ mod tests {
                 assert_eq!(shared[0], shared[1]);
                 assert!((area(&mesh) - 4.0).abs() < 1e-5);
                 let again = mesh.irradiance.iter().flat_map(|e| e.to_array()).collect();
-                let answers = Irradiance { columns: 3, values: again, ..Irradiance::default() };
+                let answers = Irradiance {
+                    columns: 3,
+                    values: again,
+                    ..Irradiance::default()
+                };
                 mesh.set_irradiance(&answers);
             }
         }
@@ -722,7 +866,11 @@ mod tests {
         let mut mesh = LitMesh::build(&scene, &front, None);
         let mut values = vec![1.0, 2.0, 3.0, 10.0, 20.0, 30.0].repeat(4);
         values[6] = f32::NAN;
-        let answers = Irradiance { columns: 6, values, ..Irradiance::default() };
+        let answers = Irradiance {
+            columns: 6,
+            values,
+            ..Irradiance::default()
+        };
         mesh.set_dimmed(&answers, &[1.0, 0.5]);
         assert_eq!(mesh.irradiance[0], Rgb::new(6.0, 12.0, 18.0));
         assert_eq!(mesh.irradiance[1].r, 0.0);
@@ -733,7 +881,10 @@ mod tests {
         let scene = testing::room();
         let front = testing::front(&scene, 0.05, true);
         let build = |n| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads");
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(n)
+                .build()
+                .expect("threads");
             pool.install(|| LitMesh::build(&scene, &front, Some(&testing::caster(&scene))))
         };
         assert!(build(1) == build(4));

@@ -27,7 +27,10 @@ pub(crate) struct Sources {
 impl Sources {
     pub fn new(scene: &Scene, front: &Front) -> Sources {
         let patches = front.patches.len();
-        let reach = scene.positions.iter().fold(0.0f32, |m, p| m.max(p.abs().max_element()));
+        let reach = scene
+            .positions
+            .iter()
+            .fold(0.0f32, |m, p| m.max(p.abs().max_element()));
         let tolerance_m = (reach * 1e-6).max(f32::MIN_POSITIVE * 1e6);
         let mut start = vec![0u32; patches + 1];
         for sides in &front.patch_of {
@@ -51,9 +54,17 @@ impl Sources {
             count[c as usize] += 1;
         }
         let shared = count.iter().map(|&n| n > 1).collect();
-        let mut sources =
-            Sources { component, shared, tolerance_m, start, list, one_map: Vec::new() };
-        sources.one_map = (0..patches).map(|p| sources.has_one_map(scene, p)).collect();
+        let mut sources = Sources {
+            component,
+            shared,
+            tolerance_m,
+            start,
+            list,
+            one_map: Vec::new(),
+        };
+        sources.one_map = (0..patches)
+            .map(|p| sources.has_one_map(scene, p))
+            .collect();
         sources
     }
 
@@ -69,7 +80,10 @@ impl Sources {
         list[1..].iter().all(|&t| {
             (0..3).all(|k| {
                 let p = scene.corners(t as usize)[k];
-                (scene.uvs[t as usize][k] - self.uv(scene, list[0], p)).abs().max_element() < 1e-3
+                (scene.uvs[t as usize][k] - self.uv(scene, list[0], p))
+                    .abs()
+                    .max_element()
+                    < 1e-3
             })
         })
     }
@@ -111,7 +125,10 @@ pub(crate) fn barycentric([a, b, c]: [Vec3; 3], p: Vec3) -> [f32; 2] {
     if square == 0.0 {
         return [0.0, 0.0];
     }
-    [(r.cross(f).dot(n) / square) as f32, (e.cross(r).dot(n) / square) as f32]
+    [
+        (r.cross(f).dot(n) / square) as f32,
+        (e.cross(r).dot(n) / square) as f32,
+    ]
 }
 
 /// Smallest patch of the flat piece that each patch belongs to.
@@ -122,7 +139,11 @@ fn components(scene: &Scene, front: &Front) -> Vec<u32> {
         .positions
         .iter()
         .enumerate()
-        .map(|(i, p)| *same.entry((*p + Vec3::ZERO).to_array().map(f32::to_bits)).or_insert(i as u32))
+        .map(|(i, p)| {
+            *same
+                .entry((*p + Vec3::ZERO).to_array().map(f32::to_bits))
+                .or_insert(i as u32)
+        })
         .collect();
     let mut edges: Vec<([u32; 2], u32)> = Vec::new();
     for (t, corners) in scene.triangles.iter().enumerate() {
@@ -131,7 +152,10 @@ fn components(scene: &Scene, front: &Front) -> Vec<u32> {
                 continue;
             }
             for k in 0..3 {
-                let (a, b) = (place[corners[k] as usize], place[corners[(k + 1) % 3] as usize]);
+                let (a, b) = (
+                    place[corners[k] as usize],
+                    place[corners[(k + 1) % 3] as usize],
+                );
                 edges.push(([a.min(b), a.max(b)], id.0));
             }
         }
@@ -162,7 +186,9 @@ fn components(scene: &Scene, front: &Front) -> Vec<u32> {
             }
         }
     }
-    (0..front.patches.len() as u32).map(|k| find(&mut parent, k)).collect()
+    (0..front.patches.len() as u32)
+        .map(|k| find(&mut parent, k))
+        .collect()
 }
 
 /// Places on the border of a component's elements, sorted along one axis.
@@ -208,7 +234,11 @@ impl Places {
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 for z in low[2]..=high[2] {
-                    let mut k = self.first.get(&(component, [x, y, z])).copied().unwrap_or(u32::MAX);
+                    let mut k = self
+                        .first
+                        .get(&(component, [x, y, z]))
+                        .copied()
+                        .unwrap_or(u32::MAX);
                     while k != u32::MAX {
                         let q = self.position[k as usize];
                         if (p - q).abs().max_element() <= self.tolerance_m {
@@ -229,7 +259,10 @@ impl Places {
         let k = self.position.len() as u32;
         self.position.push(p);
         self.component.push(component);
-        let head = self.first.entry((component, self.cell(p))).or_insert(u32::MAX);
+        let head = self
+            .first
+            .entry((component, self.cell(p)))
+            .or_insert(u32::MAX);
         self.next.push(std::mem::replace(head, k));
         k
     }
@@ -262,11 +295,15 @@ impl Places {
             let c = self.component[k as usize];
             let (low, high) = bounds[&c];
             let axis = (high - low).max_position();
-            let seam = seams.entry(c).or_insert(Seam { axis, places: Vec::new() });
+            let seam = seams.entry(c).or_insert(Seam {
+                axis,
+                places: Vec::new(),
+            });
             seam.places.push((self.position[k as usize][axis], k));
         }
         for seam in seams.values_mut() {
-            seam.places.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            seam.places
+                .sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         }
         seams
     }
@@ -274,7 +311,10 @@ impl Places {
     /// Appends the places of `seam` strictly between `p` and `q`, in order.
     pub fn on_seam(&self, seam: &Seam, p: Vec3, q: Vec3, out: &mut Vec<Vec3>) {
         let reach = 2.0 * self.tolerance_m;
-        let (low, high) = (p[seam.axis].min(q[seam.axis]) - reach, p[seam.axis].max(q[seam.axis]) + reach);
+        let (low, high) = (
+            p[seam.axis].min(q[seam.axis]) - reach,
+            p[seam.axis].max(q[seam.axis]) + reach,
+        );
         let from = seam.places.partition_point(|x| x.0 < low);
         let along = (q - p).as_dvec3();
         let length = along.length();

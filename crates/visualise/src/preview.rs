@@ -30,7 +30,11 @@ pub struct PreviewSettings {
 
 impl Default for PreviewSettings {
     fn default() -> Self {
-        PreviewSettings { width: 1280, height: 720, exposure: None }
+        PreviewSettings {
+            width: 1280,
+            height: 720,
+            exposure: None,
+        }
     }
 }
 
@@ -91,7 +95,11 @@ pub struct Shot {
 /// allowed.
 pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: usize) -> Shot {
     if width == 0 || height == 0 {
-        return Shot { width, height, pixels: Vec::new() };
+        return Shot {
+            width,
+            height,
+            pixels: Vec::new(),
+        };
     }
     let stage = Stage::new(scene, mesh);
     let near_m = (scene.diagonal() * 1e-4).clamp(1e-5, 0.02);
@@ -105,32 +113,39 @@ pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: u
     );
     let row = width * SUPER;
     let mut pixels = vec![[Seen::Blank(Rgb::BLACK); SAMPLES]; width * height];
-    pixels.par_chunks_mut(width).enumerate().for_each(|(j, line)| {
-        // Neighbours mostly show the same triangle: what it needs is worked out once.
-        let mut facet = stage.facet(NOTHING, &camera);
-        for (i, pixel) in line.iter_mut().enumerate() {
-            let (x, y) = (i * SUPER, j * SUPER);
-            let id = |s: usize| seen[(y + s / SUPER) * row + x + s % SUPER];
-            let mut shade = |id: u32, x: f32, y: f32| {
-                if facet.id != id {
-                    facet = stage.facet(id, &camera);
-                }
-                facet.shade(&camera, x, y)
-            };
-            let is_one = (1..SAMPLES).all(|s| id(s) == id(0));
-            let middle = 0.5 * SUPER as f32;
-            // A pixel inside one plain triangle is shaded once, in its middle.
-            if is_one && !stage.is_textured(id(0)) {
-                *pixel = [shade(id(0), x as f32 + middle, y as f32 + middle); SAMPLES];
-            } else {
-                for (s, sample) in pixel.iter_mut().enumerate() {
-                    let (i, j) = ((s % SUPER) as f32 + 0.5, (s / SUPER) as f32 + 0.5);
-                    *sample = shade(id(s), x as f32 + i, y as f32 + j);
+    pixels
+        .par_chunks_mut(width)
+        .enumerate()
+        .for_each(|(j, line)| {
+            // Neighbours mostly show the same triangle: what it needs is worked out once.
+            let mut facet = stage.facet(NOTHING, &camera);
+            for (i, pixel) in line.iter_mut().enumerate() {
+                let (x, y) = (i * SUPER, j * SUPER);
+                let id = |s: usize| seen[(y + s / SUPER) * row + x + s % SUPER];
+                let mut shade = |id: u32, x: f32, y: f32| {
+                    if facet.id != id {
+                        facet = stage.facet(id, &camera);
+                    }
+                    facet.shade(&camera, x, y)
+                };
+                let is_one = (1..SAMPLES).all(|s| id(s) == id(0));
+                let middle = 0.5 * SUPER as f32;
+                // A pixel inside one plain triangle is shaded once, in its middle.
+                if is_one && !stage.is_textured(id(0)) {
+                    *pixel = [shade(id(0), x as f32 + middle, y as f32 + middle); SAMPLES];
+                } else {
+                    for (s, sample) in pixel.iter_mut().enumerate() {
+                        let (i, j) = ((s % SUPER) as f32 + 0.5, (s / SUPER) as f32 + 0.5);
+                        *sample = shade(id(s), x as f32 + i, y as f32 + j);
+                    }
                 }
             }
-        }
-    });
-    Shot { width, height, pixels }
+        });
+    Shot {
+        width,
+        height,
+        pixels,
+    }
 }
 
 /// Takes and develops the picture that a person sees; answers with the exposure that was used.
@@ -223,7 +238,11 @@ impl Shot {
             .zip(self.pixels.par_iter())
             .with_min_len(1024)
             .for_each(|(out, pixel)| out.copy_from_slice(&colour(pixel)));
-        Picture { width: self.width, height: self.height, rgb }
+        Picture {
+            width: self.width,
+            height: self.height,
+            rgb,
+        }
     }
 }
 
@@ -239,7 +258,13 @@ fn legend(picture: &mut Picture, scale: &LuxScale) {
     let zoom = (picture.height / 360).max(1);
     let margin = 6 * zoom;
     let label = |lux: f32| format!("{lux}");
-    let longest = scale.ticks.iter().map(|&t| label(t).len()).max().unwrap_or(0).max(3);
+    let longest = scale
+        .ticks
+        .iter()
+        .map(|&t| label(t).len())
+        .max()
+        .unwrap_or(0)
+        .max(3);
     let (bar, text) = (10 * zoom, longest * glyphs::ADVANCE * zoom);
     let panel = margin * 3 + bar + text;
     let (w, h) = (picture.width, picture.height);
@@ -313,7 +338,12 @@ impl<'a> Stage<'a> {
                 }
             }
         }
-        Stage { scene, mesh, part, black }
+        Stage {
+            scene,
+            mesh,
+            part,
+            black,
+        }
     }
 
     fn count(&self) -> u32 {
@@ -327,7 +357,11 @@ impl<'a> Stage<'a> {
             None => {
                 let (triangle, side) = self.black[id as usize - self.mesh.triangles.len()];
                 let [a, b, c] = self.scene.corners(triangle as usize);
-                if side == Side::Front { [a, b, c] } else { [a, c, b] }
+                if side == Side::Front {
+                    [a, b, c]
+                } else {
+                    [a, c, b]
+                }
             }
         }
     }
@@ -348,7 +382,11 @@ impl<'a> Stage<'a> {
             return false;
         }
         let finish = self.finish(id);
-        finish.texture.is_some() || finish.emission.as_ref().is_some_and(|e| e.texture.is_some())
+        finish.texture.is_some()
+            || finish
+                .emission
+                .as_ref()
+                .is_some_and(|e| e.texture.is_some())
     }
 
     fn uv(&self, id: u32, w: [f32; 3]) -> Vec2 {
@@ -359,7 +397,11 @@ impl<'a> Stage<'a> {
             Some(t) => (0..3).map(|k| self.mesh.uvs[t[k] as usize] * w[k]).sum(),
             None => {
                 let (triangle, side) = self.black[id as usize - self.mesh.triangles.len()];
-                let (u, v) = if side == Side::Front { (w[1], w[2]) } else { (w[2], w[1]) };
+                let (u, v) = if side == Side::Front {
+                    (w[1], w[2])
+                } else {
+                    (w[2], w[1])
+                };
                 self.scene.uv_at(triangle as usize, u, v)
             }
         }
@@ -368,10 +410,11 @@ impl<'a> Stage<'a> {
     /// Whether a triangle with holes is there at a sample.
     fn covers(&self, id: u32, camera: &Camera, x: usize, y: usize) -> bool {
         let finish = self.finish(id);
-        let w = Crossing::new(self.corners(id), camera).weights(camera, x as f32 + 0.5, y as f32 + 0.5);
-        let texel = finish
-            .texture
-            .map_or(1.0, |t| self.scene.textures[t.index()].sample(self.uv(id, w)).1);
+        let w =
+            Crossing::new(self.corners(id), camera).weights(camera, x as f32 + 0.5, y as f32 + 0.5);
+        let texel = finish.texture.map_or(1.0, |t| {
+            self.scene.textures[t.index()].sample(self.uv(id, w)).1
+        });
         let coverage = finish.coverage * texel;
         match finish.alpha {
             Alpha::Opaque => true,
@@ -391,20 +434,29 @@ impl<'a> Stage<'a> {
                 Some(sky) => Seen::Sky(sky.luminance),
                 None => Seen::Blank(Rgb::new(0.018, 0.020, 0.024)),
             };
-            return Facet { id, shows: Shows::One(seen) };
+            return Facet {
+                id,
+                shows: Shows::One(seen),
+            };
         }
         let corners = self.corners(id);
         let crossing = Crossing::new(corners, camera);
         let Some(&part) = self.part.get(id as usize) else {
             let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-            return Facet { id, shows: Shows::Black(normal.normalize_or_zero()) };
+            return Facet {
+                id,
+                shows: Shows::Black(normal.normalize_or_zero()),
+            };
         };
         let vertices = self.mesh.triangles[id as usize].map(|v| v as usize);
         let finish = self.finish(id);
         let is_front = self.mesh.parts[part as usize].side == Side::Front;
         let textures = &self.scene.textures;
         let picture = |t: Option<TextureId>| t.map(|t| &textures[t.index()]);
-        let emission = finish.emission.as_ref().filter(|_| is_front || finish.back_emits);
+        let emission = finish
+            .emission
+            .as_ref()
+            .filter(|_| is_front || finish.back_emits);
         let reflects = is_front || finish.back_reflects;
         Facet {
             id,
@@ -453,7 +505,15 @@ impl Facet<'_> {
                 let slope = normal.dot(camera.direction(x, y).normalize_or_zero()).abs();
                 Seen::Blank(Rgb::splat(0.01 + 0.04 * slope))
             }
-            Shows::Lit { crossing, irradiance, uvs, reflectance, picture, luminance, glow } => {
+            Shows::Lit {
+                crossing,
+                irradiance,
+                uvs,
+                reflectance,
+                picture,
+                luminance,
+                glow,
+            } => {
                 let w = crossing.weights(camera, x, y);
                 let e = irradiance[0] * w[0] + irradiance[1] * w[1] + irradiance[2] * w[2];
                 let mut seen = *reflectance * e;
@@ -467,7 +527,10 @@ impl Facet<'_> {
                         own = own * glow.sample(uv).0;
                     }
                 }
-                Seen::Surface { luminance: seen + own, lux: e.luminance() }
+                Seen::Surface {
+                    luminance: seen + own,
+                    lux: e.luminance(),
+                }
             }
         }
     }
@@ -490,7 +553,10 @@ impl Crossing {
         let scale = 1.0 / n.length().max(f64::MIN_POSITIVE);
         Crossing {
             normal: (n * scale).as_vec3(),
-            across: [(f.cross(r) * scale).as_vec3(), (r.cross(e) * scale).as_vec3()],
+            across: [
+                (f.cross(r) * scale).as_vec3(),
+                (r.cross(e) * scale).as_vec3(),
+            ],
         }
     }
 
@@ -499,7 +565,10 @@ impl Crossing {
     fn weights(&self, camera: &Camera, x: f32, y: f32) -> [f32; 3] {
         let ray = camera.direction(x, y);
         let share = 1.0 / ray.dot(self.normal);
-        let (u, v) = (ray.dot(self.across[0]) * share, ray.dot(self.across[1]) * share);
+        let (u, v) = (
+            ray.dot(self.across[0]) * share,
+            ray.dot(self.across[1]) * share,
+        );
         if !(u.is_finite() && v.is_finite()) {
             return [1.0, 0.0, 0.0];
         }
@@ -517,8 +586,18 @@ mod tests {
 
     fn look(eye: Vec3, target: Vec3, vertical_angle: f32) -> View {
         let forward = (target - eye).normalize();
-        let up = if forward.y.abs() > 0.99 { -Vec3::Z } else { Vec3::Y };
-        View { name: "test".into(), eye, forward, up, vertical_angle }
+        let up = if forward.y.abs() > 0.99 {
+            -Vec3::Z
+        } else {
+            Vec3::Y
+        };
+        View {
+            name: "test".into(),
+            eye,
+            forward,
+            up,
+            vertical_angle,
+        }
     }
 
     fn down() -> View {
@@ -553,7 +632,9 @@ mod tests {
         let shot = shoot(&scene, &mesh, &down(), 33, 33);
         let seen = luminance_of(centre(&shot));
         assert!((seen - 57.0).abs() < 1e-3, "{seen}: f32 only");
-        let Seen::Surface { lux, .. } = centre(&shot) else { panic!("no surface") };
+        let Seen::Surface { lux, .. } = centre(&shot) else {
+            panic!("no surface")
+        };
         assert!((lux - 314.159).abs() < 1e-2);
     }
 
@@ -588,7 +669,11 @@ mod tests {
             (Vec3::new(2.5, 1.5, 2.0), Vec3::new(2.5, 0.0, 2.0)),
         ] {
             let shot = shoot(&scene, &mesh, &look(eye, target, 1.3), 320, 180);
-            let open = shot.pixels.iter().flatten().filter(|s| !matches!(s, Seen::Surface { .. }));
+            let open = shot
+                .pixels
+                .iter()
+                .flatten()
+                .filter(|s| !matches!(s, Seen::Surface { .. }));
             assert_eq!(open.count(), 0, "from {eye}");
             for s in shot.pixels.iter().flatten() {
                 // rho E / pi everywhere.
@@ -609,7 +694,10 @@ mod tests {
         assert!(value.g > 0.01 && value.g <= 0.05);
         // Beside it: nothing, then a sky.
         let away = look(Vec3::Y * 2.0, Vec3::new(0.0, 2.0, -9.0), 0.5);
-        assert!(matches!(centre(&shoot(&scene, &mesh, &away, 33, 33)), Seen::Blank(_)));
+        assert!(matches!(
+            centre(&shoot(&scene, &mesh, &away, 33, 33)),
+            Seen::Blank(_)
+        ));
         scene.sky = Some(testing::sky(3000.0));
         let seen = centre(&shoot(&scene, &mesh, &away, 33, 33));
         assert_eq!(seen, Seen::Sky(Rgb::splat(3000.0)));
@@ -618,7 +706,11 @@ mod tests {
     #[test]
     fn holes_and_half_transparent_surfaces_let_the_sky_through() {
         let through = |alpha: Alpha, coverage: f32| {
-            let finish = Finish { alpha, coverage, ..Finish::default() };
+            let finish = Finish {
+                alpha,
+                coverage,
+                ..Finish::default()
+            };
             let mut scene = testing::square(finish);
             scene.sky = Some(testing::sky(1.0));
             let front = testing::front(&scene, 10.0, false);
@@ -648,7 +740,13 @@ mod tests {
             assert_eq!(back.as_raw(), &picture.rgb);
             assert_eq!(shot.false_colour(None).rgb.len(), 3 * width * height);
         }
-        assert_eq!(shoot(&scene, &mesh, &view, 0, 0).false_colour(None).rgb.len(), 0);
+        assert_eq!(
+            shoot(&scene, &mesh, &view, 0, 0)
+                .false_colour(None)
+                .rgb
+                .len(),
+            0
+        );
     }
 
     #[test]

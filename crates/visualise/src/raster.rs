@@ -42,11 +42,23 @@ impl Camera {
     pub fn new(view: &View, width: usize, height: usize, near_m: f32) -> Camera {
         let forward = view.forward.normalize_or(Vec3::X);
         let right = forward.cross(view.up).normalize_or_zero();
-        let right = if right == Vec3::ZERO { forward.any_orthonormal_vector() } else { right };
+        let right = if right == Vec3::ZERO {
+            forward.any_orthonormal_vector()
+        } else {
+            right
+        };
         let tall = (0.5 * view.vertical_angle.clamp(0.01, 3.0)).tan();
         let half = Vec2::new(tall * width as f32 / height as f32, tall);
         let size = [width * SUPER, height * SUPER];
-        Camera { eye: view.eye, right, up: right.cross(forward), forward, half, size, near_m }
+        Camera {
+            eye: view.eye,
+            right,
+            up: right.cross(forward),
+            forward,
+            half,
+            size,
+            near_m,
+        }
     }
 
     /// Direction through a point of the picture in samples, with unit share along the sight.
@@ -62,7 +74,11 @@ impl Camera {
         let z = r.dot(self.forward) as f64;
         let x = r.dot(self.right) as f64 / self.half.x as f64;
         let y = -r.dot(self.up) as f64 / self.half.y as f64;
-        [(x + z) * 0.5 * self.size[0] as f64, (y + z) * 0.5 * self.size[1] as f64, z]
+        [
+            (x + z) * 0.5 * self.size[0] as f64,
+            (y + z) * 0.5 * self.size[1] as f64,
+            z,
+        ]
     }
 }
 
@@ -124,17 +140,27 @@ pub(crate) fn visible(
     }
     // Bands of tiles write disjoint rows.
     let mut seen = vec![NOTHING; camera.size[0] * camera.size[1]];
-    seen.par_chunks_mut(TILE * camera.size[0]).enumerate().for_each(|(j, band)| {
-        let mut depth = vec![0.0f32; TILE * TILE];
-        for i in 0..tiles[0] {
-            let tile = j * tiles[0] + i;
-            depth.fill(0.0);
-            for &k in &list[start[tile]..start[tile + 1]] {
-                let s = &setups[k as usize];
-                draw(s, [i * TILE, j * TILE], camera.size, &mut depth, band, is_solid(s.id), covers);
+    seen.par_chunks_mut(TILE * camera.size[0])
+        .enumerate()
+        .for_each(|(j, band)| {
+            let mut depth = vec![0.0f32; TILE * TILE];
+            for i in 0..tiles[0] {
+                let tile = j * tiles[0] + i;
+                depth.fill(0.0);
+                for &k in &list[start[tile]..start[tile + 1]] {
+                    let s = &setups[k as usize];
+                    draw(
+                        s,
+                        [i * TILE, j * TILE],
+                        camera.size,
+                        &mut depth,
+                        band,
+                        is_solid(s.id),
+                        covers,
+                    );
+                }
             }
-        }
-    });
+        });
     seen
 }
 
@@ -180,9 +206,12 @@ fn project(camera: &Camera, points: [[f64; 3]; 3], id: u32, out: &mut Vec<Setup>
         let high = (high - 0.5 + OVERLAP).floor().min(last);
         (low <= high).then_some((low as u32, high as u32))
     };
-    let (Some(x), Some(y)) = (bound(0), bound(1)) else { return };
+    let (Some(x), Some(y)) = (bound(0), bound(1)) else {
+        return;
+    };
     // Counter-clockwise in the world is clockwise with y down.
-    let area = (p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) - (p[2][0] - p[0][0]) * (p[1][1] - p[0][1]);
+    let area =
+        (p[1][0] - p[0][0]) * (p[2][1] - p[0][1]) - (p[2][0] - p[0][0]) * (p[1][1] - p[0][1]);
     if area.abs() < 1e-12 || !area.is_finite() {
         return;
     }
@@ -199,7 +228,13 @@ fn project(camera: &Camera, points: [[f64; 3]; 3], id: u32, out: &mut Vec<Setup>
         let length = a.hypot(b);
         edges[k] = [a, b, c + OVERLAP * length];
     }
-    out.push(Setup { edges, depth, low: [x.0, y.0], high: [x.1, y.1], id });
+    out.push(Setup {
+        edges,
+        depth,
+        low: [x.0, y.0],
+        high: [x.1, y.1],
+        id,
+    });
 }
 
 fn draw(
@@ -211,8 +246,14 @@ fn draw(
     is_solid: bool,
     covers: &(dyn Fn(u32, usize, usize) -> bool + Sync),
 ) {
-    let (left, right) = ((s.low[0] as usize).max(tile[0]), (s.high[0] as usize).min(tile[0] + TILE - 1));
-    let (top, bottom) = ((s.low[1] as usize).max(tile[1]), (s.high[1] as usize).min(tile[1] + TILE - 1));
+    let (left, right) = (
+        (s.low[0] as usize).max(tile[0]),
+        (s.high[0] as usize).min(tile[0] + TILE - 1),
+    );
+    let (top, bottom) = (
+        (s.low[1] as usize).max(tile[1]),
+        (s.high[1] as usize).min(tile[1] + TILE - 1),
+    );
     for y in top..=bottom {
         let v = y as f64 + 0.5;
         // The run of samples inside all three edges.

@@ -115,7 +115,13 @@ impl Flux {
     /// A balance from its four terms, with the imbalance worked out.
     pub fn balance(emitted_lm: f64, absorbed_lm: f64, escaped_lm: f64, unshot_lm: f64) -> Flux {
         let imbalance_lm = emitted_lm - absorbed_lm - escaped_lm - unshot_lm;
-        Flux { emitted_lm, absorbed_lm, escaped_lm, unshot_lm, imbalance_lm }
+        Flux {
+            emitted_lm,
+            absorbed_lm,
+            escaped_lm,
+            unshot_lm,
+            imbalance_lm,
+        }
     }
 }
 
@@ -229,7 +235,11 @@ pub fn oddities(warnings: &Warnings) -> Vec<Oddity> {
 pub fn surface_statistics(scene: &Scene, mesh: &LitMesh) -> Vec<SurfaceLight> {
     let lux = |v: u32| {
         let e = mesh.irradiance[v as usize];
-        LUMINANCE_WEIGHTS.iter().zip(e.to_array()).map(|(w, b)| *w as f64 * b as f64).sum::<f64>()
+        LUMINANCE_WEIGHTS
+            .iter()
+            .zip(e.to_array())
+            .map(|(w, b)| *w as f64 * b as f64)
+            .sum::<f64>()
     };
     let mut list = Vec::with_capacity(mesh.parts.len());
     for part in &mesh.parts {
@@ -252,7 +262,12 @@ pub fn surface_statistics(scene: &Scene, mesh: &LitMesh) -> Vec<SurfaceLight> {
         list.push(SurfaceLight {
             surface: part.surface.0,
             name: scene.surfaces[part.surface.index()].name.clone(),
-            side: if part.side == Side::Front { "front" } else { "back" }.into(),
+            side: if part.side == Side::Front {
+                "front"
+            } else {
+                "back"
+            }
+            .into(),
             area_m2: area,
             mean_lux: flux * per_area,
             min_lux: if min.is_finite() { min } else { 0.0 },
@@ -301,12 +316,19 @@ pub fn table(report: &Report) -> String {
             area_m2: area,
             mean_lux: group.iter().map(|s| s.mean_lux * s.area_m2).sum::<f64>()
                 / area.max(f64::MIN_POSITIVE),
-            min_lux: group.iter().map(|s| s.min_lux).fold(f64::INFINITY, f64::min),
+            min_lux: group
+                .iter()
+                .map(|s| s.min_lux)
+                .fold(f64::INFINITY, f64::min),
             max_lux: group.iter().map(|s| s.max_lux).fold(0.0, f64::max),
             ..SurfaceLight::default()
         });
     }
-    rows.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2).then_with(|| a.name.cmp(&b.name)));
+    rows.sort_by(|a, b| {
+        b.area_m2
+            .total_cmp(&a.area_m2)
+            .then_with(|| a.name.cmp(&b.name))
+    });
     let mut out = String::new();
     // Writing to a string cannot fail.
     let mut line = |text: String| {
@@ -314,7 +336,12 @@ pub fn table(report: &Report) -> String {
     };
     if !rows.is_empty() {
         let shown = &rows[..rows.len().min(TABLE_ROWS)];
-        let width = shown.iter().map(|r| r.name.chars().count()).max().unwrap_or(0).clamp(7, 32);
+        let width = shown
+            .iter()
+            .map(|r| r.name.chars().count())
+            .max()
+            .unwrap_or(0)
+            .clamp(7, 32);
         line(format!(
             "{:<width$}  {:>9}  {:>9}  {:>9}  {:>9}",
             "surface", "area m²", "mean lux", "min lux", "max lux"
@@ -355,11 +382,21 @@ pub fn table(report: &Report) -> String {
         State::NotMet => " (not met)",
         State::Stopped => " (stopped before the end)",
     };
-    line(format!("accuracy  {reached} reached, {} asked{state}", percent(a.asked)));
+    line(format!(
+        "accuracy  {reached} reached, {} asked{state}",
+        percent(a.asked)
+    ));
     let wall: f64 = report.stages.iter().map(|s| s.wall_s).sum();
-    let stages: Vec<String> =
-        report.stages.iter().map(|s| format!("{} {} s", s.name, figure(s.wall_s))).collect();
-    line(format!("time      {} s ({})", figure(wall), stages.join(", ")));
+    let stages: Vec<String> = report
+        .stages
+        .iter()
+        .map(|s| format!("{} {} s", s.name, figure(s.wall_s)))
+        .collect();
+    line(format!(
+        "time      {} s ({})",
+        figure(wall),
+        stages.join(", ")
+    ));
     out
 }
 
@@ -413,7 +450,10 @@ mod tests {
             let s = &all[0];
             assert_eq!((s.name.as_str(), s.side.as_str()), ("square", "front"));
             assert!((s.area_m2 - 4.0).abs() < 1e-5, "f32 positions");
-            assert!((s.mean_lux - 100.0).abs() < 1e-3, "weights of luminance sum to 1 in f32");
+            assert!(
+                (s.mean_lux - 100.0).abs() < 1e-3,
+                "weights of luminance sum to 1 in f32"
+            );
             assert!((s.min_lux - 50.0).abs() < 1e-3 && (s.max_lux - 150.0).abs() < 1e-3);
             // An error of 1 lux at every vertex.
             assert!((s.error_lux - 1.0).abs() < 1e-6);
@@ -438,9 +478,20 @@ mod tests {
         let flux = Flux::balance(1000.0, 900.0, 90.0, 5.0);
         Report {
             format: FORMAT,
-            accuracy: Accuracy { asked: 0.02, reached: Some(0.013), ..Accuracy::default() },
-            energy: Energy::from_groups(vec![GroupFlux { name: "lamp".into(), flux }]),
-            stages: vec![Stage { name: "solve".into(), wall_s: 1.25, cpu_s: Some(2.4) }],
+            accuracy: Accuracy {
+                asked: 0.02,
+                reached: Some(0.013),
+                ..Accuracy::default()
+            },
+            energy: Energy::from_groups(vec![GroupFlux {
+                name: "lamp".into(),
+                flux,
+            }]),
+            stages: vec![Stage {
+                name: "solve".into(),
+                wall_s: 1.25,
+                cpu_s: Some(2.4),
+            }],
             surfaces: (0..surfaces).map(surface).collect(),
             state: State::Finished,
             ..Report::default()
@@ -451,7 +502,10 @@ mod tests {
     fn the_table_is_short_and_says_what_matters() {
         let text = table(&report(40));
         assert!(text.lines().count() <= 22, "{text}");
-        assert!(text.contains("wall 39") && !text.contains("wall 3 "), "the largest first");
+        assert!(
+            text.contains("wall 39") && !text.contains("wall 3 "),
+            "the largest first"
+        );
         assert!(text.contains("and 25 more"), "{text}");
         assert!(text.contains("imbalance 5.00 lm (+0.50 %)"), "{text}");
         assert!(text.contains("1.30 % reached, 2.00 % asked"), "{text}");
@@ -507,7 +561,10 @@ mod tests {
         let value = serde_json::from_str(&r.to_json()).expect("JSON");
         members(&value, &mut names);
         for name in names {
-            assert!(schema.contains(&format!("`{name}`")), "{name} is not documented");
+            assert!(
+                schema.contains(&format!("`{name}`")),
+                "{name} is not documented"
+            );
         }
     }
 }

@@ -10,7 +10,12 @@ use std::sync::Arc;
 
 /// A uniform front with elements of at most this area.
 pub fn front(scene: &Scene, max_area_m2: f32, cluster: bool) -> Front {
-    let settings = MeshSettings { max_area_m2, min_edge_m: 1e-3, max_elements: 100_000, cluster };
+    let settings = MeshSettings {
+        max_area_m2,
+        min_edge_m: 1e-3,
+        max_elements: 100_000,
+        cluster,
+    };
     Uniform::new(settings).initial(scene)
 }
 
@@ -23,7 +28,8 @@ pub fn caster(scene: &Scene) -> Bvh {
 pub fn room() -> Scene {
     let mut b = Builder::new("room");
     let grey = b.matte("grey", 0.5, 0.5, 0.5);
-    b.on("room", grey).room(Vec3::ZERO, Vec3::new(5.0, 3.0, 4.0), 63);
+    b.on("room", grey)
+        .room(Vec3::ZERO, Vec3::new(5.0, 3.0, 4.0), 63);
     b.build()
 }
 
@@ -32,14 +38,19 @@ pub fn square(finish: Finish) -> Scene {
     let mut b = Builder::new("square");
     let f = b.finish(finish);
     let p = |x, z| Vec3::new(x, 0.0, z);
-    b.on("square", f).polygon(&[p(-1.0, 1.0), p(1.0, 1.0), p(1.0, -1.0), p(-1.0, -1.0)]);
+    b.on("square", f)
+        .polygon(&[p(-1.0, 1.0), p(1.0, 1.0), p(1.0, -1.0), p(-1.0, -1.0)]);
     b.build()
 }
 
 /// The mesh of a scene with the illuminance that `lux` gives at each vertex.
 pub fn lit(scene: &Scene, front: &Front, lux: impl Fn(Vec3) -> Rgb) -> LitMesh {
     let mut mesh = LitMesh::build(scene, front, None);
-    let values = mesh.positions.iter().flat_map(|&p| lux(p).to_array()).collect();
+    let values = mesh
+        .positions
+        .iter()
+        .flat_map(|&p| lux(p).to_array())
+        .collect();
     let n = mesh.positions.len();
     let answers = Irradiance {
         columns: 3,
@@ -54,5 +65,8 @@ pub fn lit(scene: &Scene, front: &Front, lux: impl Fn(Vec3) -> Rgb) -> LitMesh {
 
 /// A sky of this luminance.
 pub fn sky(luminance: f32) -> Sky {
-    Sky { luminance: Rgb::splat(luminance), group: luxel_core::GroupId(0) }
+    Sky {
+        luminance: Rgb::splat(luminance),
+        group: luxel_core::GroupId(0),
+    }
 }

@@ -34,15 +34,24 @@ impl Exposure {
     /// at least 99 % of the given values stay below white,
     /// unless the brightest percent is over a thousand times the average.
     pub fn automatic(luminances: &[f32]) -> Exposure {
-        let mut lit: Vec<f32> =
-            luminances.iter().copied().filter(|l| l.is_finite() && *l > 0.0).collect();
+        let mut lit: Vec<f32> = luminances
+            .iter()
+            .copied()
+            .filter(|l| l.is_finite() && *l > 0.0)
+            .collect();
         if lit.is_empty() {
-            return Exposure { scale: 1.0, white: 4.0 };
+            return Exposure {
+                scale: 1.0,
+                white: 4.0,
+            };
         }
         lit.sort_unstable_by(f32::total_cmp);
         let at = |share: f64| lit[(share * (lit.len() - 1) as f64).round() as usize];
         let bounds = [at(0.01), at(0.99)];
-        let sum: f64 = lit.iter().map(|l| l.clamp(bounds[0], bounds[1]).ln() as f64).sum();
+        let sum: f64 = lit
+            .iter()
+            .map(|l| l.clamp(bounds[0], bounds[1]).ln() as f64)
+            .sum();
         let average = (sum / lit.len() as f64).exp() as f32;
         // x / (1 + x) = key before the curve's end at white, which lies far above the key.
         // Where a dark half pulls the average down, the bright fifth still keeps its drawing:
@@ -54,7 +63,10 @@ impl Exposure {
 
     /// As a camera at this exposure value (ISO 100) would see it.
     pub fn from_ev100(ev100: f32) -> Exposure {
-        Exposure { scale: 1.0 / (SATURATION_EV0 * ev100.exp2()), white: 4.0 }
+        Exposure {
+            scale: 1.0 / (SATURATION_EV0 * ev100.exp2()),
+            white: 4.0,
+        }
     }
 
     /// The exposure value (ISO 100) at which a camera would saturate at display value 1.
@@ -93,7 +105,10 @@ impl Exposure {
 pub fn linear_scale(mesh: &LitMesh) -> f32 {
     let mut samples: Vec<(f32, f64)> = Vec::with_capacity(mesh.triangles.len());
     for (t, corners) in mesh.triangles.iter().enumerate() {
-        let sum: f32 = corners.iter().map(|&v| mesh.irradiance[v as usize].luminance()).sum();
+        let sum: f32 = corners
+            .iter()
+            .map(|&v| mesh.irradiance[v as usize].luminance())
+            .sum();
         if sum.is_finite() && sum > 0.0 {
             samples.push((sum / 3.0, mesh.area(t)));
         }
@@ -105,14 +120,19 @@ pub fn linear_scale(mesh: &LitMesh) -> f32 {
     samples.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let at = |share: f64| {
         let mut sum = 0.0;
-        samples.iter().find(|s| {
-            sum += s.1;
-            sum >= share * whole
-        })
-        .map_or(samples[samples.len() - 1].0, |s| s.0)
+        samples
+            .iter()
+            .find(|s| {
+                sum += s.1;
+                sum >= share * whole
+            })
+            .map_or(samples[samples.len() - 1].0, |s| s.0)
     };
     let bounds = (at(0.01), at(0.99));
-    let log: f64 = samples.iter().map(|s| s.0.clamp(bounds.0, bounds.1).ln() as f64 * s.1).sum();
+    let log: f64 = samples
+        .iter()
+        .map(|s| s.0.clamp(bounds.0, bounds.1).ln() as f64 * s.1)
+        .sum();
     let average = (log / whole).exp() as f32;
     (0.3 / average).min(1.0 / at(0.9)).max(1.0 / at(0.99))
 }
@@ -125,7 +145,9 @@ pub struct Encoder {
 
 impl Default for Encoder {
     fn default() -> Self {
-        let table = (0..=4096).map(|i| srgb_from_linear(i as f32 / 4096.0)).collect();
+        let table = (0..=4096)
+            .map(|i| srgb_from_linear(i as f32 / 4096.0))
+            .collect();
         Encoder { table }
     }
 }
@@ -133,14 +155,20 @@ impl Default for Encoder {
 impl Encoder {
     /// Bytes of a display value; bands outside 0..=1 are clipped.
     pub fn encode(&self, value: Rgb) -> [u8; 3] {
-        value.to_array().map(|v| self.table[(v.clamp(0.0, 1.0) * 4096.0 + 0.5) as usize])
+        value
+            .to_array()
+            .map(|v| self.table[(v.clamp(0.0, 1.0) * 4096.0 + 0.5) as usize])
     }
 }
 
 /// One sRGB byte from linear light 0..=1 [IEC61966-2-1].
 pub fn srgb_from_linear(v: f32) -> u8 {
     let v = v.clamp(0.0, 1.0);
-    let e = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    let e = if v <= 0.003_130_8 {
+        12.92 * v
+    } else {
+        1.055 * v.powf(1.0 / 2.4) - 0.055
+    };
     (e * 255.0 + 0.5) as u8
 }
 
@@ -161,7 +189,11 @@ const RAMP: [[u8; 3]; 9] = [
 /// Colour of a place 0..=1 on the false-colour ramp, sRGB.
 pub fn ramp(place: f32) -> [u8; 3] {
     let last = RAMP.len() - 1;
-    let x = if place.is_nan() { 0.0 } else { place.clamp(0.0, 1.0) * last as f32 };
+    let x = if place.is_nan() {
+        0.0
+    } else {
+        place.clamp(0.0, 1.0) * last as f32
+    };
     let k = (x as usize).min(last - 1);
     let f = x - k as f32;
     std::array::from_fn(|band| {
@@ -184,16 +216,21 @@ pub struct LuxScale {
 impl LuxScale {
     /// A scale that holds the middle 96 % of the values (lux), over at most four decades.
     pub fn around(values: &[f32]) -> LuxScale {
-        let mut lit: Vec<f32> =
-            values.iter().copied().filter(|l| l.is_finite() && *l > 1e-6).collect();
+        let mut lit: Vec<f32> = values
+            .iter()
+            .copied()
+            .filter(|l| l.is_finite() && *l > 1e-6)
+            .collect();
         lit.sort_unstable_by(f32::total_cmp);
         let at = |share: f64| {
-            lit.get((share * lit.len().saturating_sub(1) as f64).round() as usize).copied()
+            lit.get((share * lit.len().saturating_sub(1) as f64).round() as usize)
+                .copied()
         };
         let high = at(0.98).unwrap_or(1000.0).min(1e30);
         let low = at(0.02).unwrap_or(1.0).clamp(high * 1e-4, high * 0.5);
         // Exponent of ten times three plus 0, 1 or 2 for 1, 2 and 5.
-        let round = |i: i32| 10f64.powi(i.div_euclid(3)) * [1.0, 2.0, 5.0][i.rem_euclid(3) as usize];
+        let round =
+            |i: i32| 10f64.powi(i.div_euclid(3)) * [1.0, 2.0, 5.0][i.rem_euclid(3) as usize];
         let near = |v: f32| 3 * (v as f64).log10().floor() as i32;
         let mut first = near(low);
         while round(first + 1) <= low as f64 * 1.0001 {
@@ -204,7 +241,11 @@ impl LuxScale {
             last += 1;
         }
         let ticks: Vec<f32> = (first..=last).map(|i| round(i) as f32).collect();
-        LuxScale { low: ticks[0], high: ticks[ticks.len() - 1], ticks }
+        LuxScale {
+            low: ticks[0],
+            high: ticks[ticks.len() - 1],
+            ticks,
+        }
     }
 
     /// Place on the ramp, 0..=1.
@@ -236,7 +277,10 @@ mod tests {
         // Luminances over four decades, as a room with lamps has.
         let picture: Vec<f32> = (0..10_000).map(|i| 10f32.powf(i as f32 / 2500.0)).collect();
         let e = Exposure::automatic(&picture);
-        let white = picture.iter().filter(|l| e.display(Rgb::splat(**l)).g >= 0.999).count();
+        let white = picture
+            .iter()
+            .filter(|l| e.display(Rgb::splat(**l)).g >= 0.999)
+            .count();
         assert!(white <= 100, "{white} of 10000 are burnt");
         let c = e.display(Rgb::new(60.0, 30.0, 15.0));
         assert!((c.r / c.g - 2.0).abs() < 1e-4 && (c.g / c.b - 2.0).abs() < 1e-4);
@@ -244,11 +288,17 @@ mod tests {
 
     #[test]
     fn display_rises_with_luminance_and_stays_in_range() {
-        let e = Exposure { scale: 0.01, white: 6.0 };
+        let e = Exposure {
+            scale: 0.01,
+            white: 6.0,
+        };
         let mut last = -1.0;
         for k in -40..60 {
             let c = e.display(Rgb::new(1.0, 0.2, 0.05) * 2f32.powi(k));
-            assert!(c.luminance() >= last - 1e-6 && c.max_band() <= 1.0, "at 2^{k}");
+            assert!(
+                c.luminance() >= last - 1e-6 && c.max_band() <= 1.0,
+                "at 2^{k}"
+            );
             last = c.luminance();
         }
         for odd in [f32::NAN, -1.0, f32::INFINITY] {
@@ -271,15 +321,17 @@ mod tests {
             let linear = luxel_core::texture::linear_from_srgb(byte);
             assert_eq!(srgb_from_linear(linear), byte);
             let quick = encoder.encode(Rgb::splat(linear))[0];
-            assert!(quick.abs_diff(byte) <= 1, "{byte} {quick}: steps of 1/4096 near black");
+            assert!(
+                quick.abs_diff(byte) <= 1,
+                "{byte} {quick}: steps of 1/4096 near black"
+            );
         }
     }
 
     #[test]
     fn ramp_gets_lighter_all_the_way() {
-        let lightness = |c: [u8; 3]| {
-            Rgb::from(c.map(luxel_core::texture::linear_from_srgb)).luminance()
-        };
+        let lightness =
+            |c: [u8; 3]| Rgb::from(c.map(luxel_core::texture::linear_from_srgb)).luminance();
         for k in 0..100 {
             let (a, b) = (ramp(k as f32 / 100.0), ramp((k + 1) as f32 / 100.0));
             // One byte of rounding in a band at most.
