@@ -9,7 +9,7 @@ use luxel_core::{
     Finish, FinishId, Group, GroupId, Luminaire, Scene, Surface, SurfaceId, Vec2, Vec3, View,
     Warnings,
 };
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Bytes that a triangle takes in the scene and while it is repaired.
@@ -25,7 +25,7 @@ pub(crate) struct Assembly<'o> {
     material_of: Vec<usize>,
     options: &'o ReadOptions,
     pub file: String,
-    views: HashSet<String>,
+    views: Names,
     /// How often each kind of warning was placed.
     placed: HashMap<String, usize>,
 }
@@ -59,7 +59,7 @@ impl<'o> Assembly<'o> {
             material_of: Vec::new(),
             options,
             file: file.to_owned(),
-            views: HashSet::new(),
+            views: Names::default(),
             placed: HashMap::new(),
         }
     }
@@ -177,7 +177,7 @@ impl<'o> Assembly<'o> {
 
     /// Adds a view under a name of its own.
     pub(crate) fn add_view(&mut self, mut view: View) {
-        view.name = unique(&mut self.views, &view.name);
+        view.name = self.views.unique(&view.name);
         self.scene.views.push(view);
     }
 
@@ -221,7 +221,7 @@ impl<'o> Assembly<'o> {
         for surface in &scene.surfaces {
             used[surface.finish.index()] = true;
         }
-        let mut taken = HashSet::new();
+        let mut taken = Names::default();
         let mut group_of = HashMap::new();
         for (k, finish) in scene.finishes.iter_mut().enumerate() {
             let Some(emission) = finish.emission.as_mut() else {
@@ -234,7 +234,7 @@ impl<'o> Assembly<'o> {
             let material = self.material_of[origin[k].index()];
             emission.group = *group_of.entry(material).or_insert_with(|| {
                 scene.groups.push(Group {
-                    name: unique(&mut taken, &finish.name),
+                    name: taken.unique(&finish.name),
                 });
                 GroupId::from(scene.groups.len() - 1)
             });
@@ -242,7 +242,7 @@ impl<'o> Assembly<'o> {
         for luminaire in &mut scene.luminaires {
             luminaire.group = GroupId::from(scene.groups.len());
             scene.groups.push(Group {
-                name: unique(&mut taken, &luminaire.name),
+                name: taken.unique(&luminaire.name),
             });
         }
         if scene.groups.is_empty() {
@@ -256,13 +256,49 @@ impl<'o> Assembly<'o> {
 /// Name of the one group of a scene in which nothing shines.
 pub(crate) const NO_LIGHT: &str = "no light";
 
-/// `name`, or `name (2)` and so on when it is taken.
-pub(crate) fn unique(taken: &mut HashSet<String>, name: &str) -> String {
-    let mut out = name.to_owned();
-    let mut k = 2;
-    while !taken.insert(out.clone()) {
-        out = format!("{name} ({k})");
-        k += 1;
+/// Names that are taken, each by one thing.
+#[derive(Default)]
+pub(crate) struct Names {
+    /// The number that is tried next for a name that was asked for.
+    next: HashMap<String, usize>,
+}
+
+impl Names {
+    /// The names of things that have one of their own already.
+    pub(crate) fn of<'a>(names: impl Iterator<Item = &'a String>) -> Self {
+        Names {
+            next: names.map(|n| (n.clone(), 2)).collect(),
+        }
     }
-    out
+
+    /// `name`, or `name (2)` and so on when it is taken.
+    pub(crate) fn unique(&mut self, name: &str) -> String {
+        let Some(&from) = self.next.get(name) else {
+            self.next.insert(name.to_owned(), 2);
+            return name.to_owned();
+        };
+        let mut k = from;
+        let mut out = format!("{name} ({k})");
+        while self.next.contains_key(&out) {
+            k += 1;
+            out = format!("{name} ({k})");
+        }
+        self.next.insert(name.to_owned(), k + 1);
+        self.next.insert(out.clone(), 2);
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_is_given_once() {
+        let mut names = Names::of([String::from("a (2)")].iter());
+        let given: Vec<String> = ["a", "a", "a", "b", "a (2)"]
+            .map(|n| names.unique(n))
+            .into();
+        assert_eq!(given, ["a", "a (3)", "a (4)", "b", "a (2) (2)"]);
+    }
 }

@@ -111,12 +111,14 @@ fn weld_distance(scene: &Scene, dropped: &[Fate]) -> f64 {
 
 /// Makes one vertex of each set that coincides; returns how many differed in their bits.
 fn weld(scene: &mut Scene, tolerance: f64) -> usize {
-    let mut same: IntegerMap<[u32; 3], u32> = IntegerMap::default();
+    let count = scene.positions.len();
+    let mut same: IntegerMap<[u32; 3], u32> =
+        IntegerMap::with_capacity_and_hasher(count, Default::default());
     // Vertices by cells four tolerances wide; those of a cell are chained.
     let mut cells: IntegerMap<[u64; 3], u32> = IntegerMap::default();
     let mut next: Vec<u32> = Vec::new();
     let mut kept: Vec<Vec3> = Vec::new();
-    let mut new_index = Vec::with_capacity(scene.positions.len());
+    let mut new_index = Vec::with_capacity(count);
     let mut near = 0;
     let width = 4.0 * tolerance;
     for &p in &scene.positions {
@@ -207,7 +209,8 @@ fn part_coincident(scene: &Scene, dropped: &mut [Fate]) {
     };
     let two_sided = |t: usize| scene.finish_of(t).back_reflects || scene.finish_of(t).back_emits;
     // The triangle that stays on each set of vertices, for either winding.
-    let mut first: IntegerMap<[u32; 3], [u32; 2]> = IntegerMap::default();
+    let mut first: IntegerMap<[u32; 3], [u32; 2]> =
+        IntegerMap::with_capacity_and_hasher(scene.triangles.len(), Default::default());
     for t in 0..scene.triangles.len() {
         if dropped[t] != Fate::Kept {
             continue;

@@ -1,11 +1,10 @@
 //! Changes to a scene from the command line: lamps, emission, sky, groups. Each light added is a
 //! group of its own.
 
-use crate::assemble::{NO_LIGHT, unique};
+use crate::assemble::{NO_LIGHT, Names};
 use crate::error::clean;
 use luxel_core::quantity::Lumens;
 use luxel_core::{Emission, Group, GroupId, Luminaire, LuminaireKind, Rgb, Scene, Sky, Vec3};
-use std::collections::HashSet;
 
 const LAMP_FORMS: &str =
     "800lm@x,y,z or 5cd@x,y,z or 10cd@x,y,z>dx,dy,dz:inner,outer or 1000lx@dx,dy,dz";
@@ -231,11 +230,9 @@ pub fn merge_groups(scene: &mut Scene, text: &str) -> Result<(), String> {
             *group = onto;
         }
     }
-    let mut taken: HashSet<String> = (0..scene.groups.len())
-        .filter(|&k| !member[k])
-        .map(|k| scene.groups[k].name.clone())
-        .collect();
-    scene.groups[target].name = unique(&mut taken, name.trim());
+    let others = scene.groups.iter().zip(&member).filter(|(_, m)| !**m);
+    let mut taken = Names::of(others.map(|(g, _)| &g.name));
+    scene.groups[target].name = taken.unique(name.trim());
     drop_unused_groups(scene);
     Ok(())
 }
@@ -286,8 +283,7 @@ fn new_group(scene: &mut Scene, name: &str) -> GroupId {
     if all_group_ids(scene).all(|g| !g.is_some()) {
         scene.groups.clear();
     }
-    let mut taken: HashSet<String> = scene.groups.iter().map(|g| g.name.clone()).collect();
-    let name = unique(&mut taken, &clean(name));
+    let name = Names::of(scene.groups.iter().map(|g| &g.name)).unique(&clean(name));
     scene.groups.push(Group { name });
     GroupId::from(scene.groups.len() - 1)
 }

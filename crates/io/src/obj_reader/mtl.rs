@@ -157,11 +157,11 @@ impl<'r> Library<'r> {
                 self.materials.push(Material::new(&clean(rest)));
                 self.index.insert(rest.to_owned(), k);
                 current = Some(k);
-            } else if let Some(k) = current {
-                if let Err(e) = self.statement(k, word, rest, name, assembly, budget) {
-                    let what = format!("ignored: expected {}, found {}", e.expected, e.found);
-                    assembly.warn(&format!("{}:{number}", clean(name)), what, 1);
-                }
+            } else if let Some(k) = current
+                && let Err(e) = self.statement(k, word, rest, name, assembly, budget)
+            {
+                let what = format!("ignored: expected {}, found {}", e.expected, e.found);
+                assembly.warn(&format!("{}:{number}", clean(name)), what, 1);
             }
         }
         Ok(Ok(()))

@@ -6,6 +6,7 @@
 //! without an ear: there the next corner is cut whatever it looks like.
 
 use luxel_core::{DVec3, Vec3};
+use std::cmp::Ordering;
 
 /// Corners above which a polygon is cut as a fan: n² steps would take seconds.
 pub(super) const MOST_CORNERS: usize = 4096;
@@ -40,7 +41,7 @@ pub(super) fn ears(ring: &[Vec3]) -> Vec<[usize; 3]> {
     if n == 3 {
         return vec![[0, 1, 2]];
     }
-    if n > MOST_CORNERS || n < 3 {
+    if !(3..=MOST_CORNERS).contains(&n) {
         return (1..n.saturating_sub(1)).map(|k| [0, k, k + 1]).collect();
     }
     let p: Vec<DVec3> = ring.iter().map(|p| p.as_dvec3()).collect();
@@ -52,7 +53,7 @@ pub(super) fn ears(ring: &[Vec3]) -> Vec<[usize; 3]> {
     // A corner that is convex stays so when its neighbours are cut, so only corners that were
     // not can lie in an ear.
     let hollow: Vec<usize> = (0..n)
-        .filter(|&k| !(turn(before[k], k, next[k]) > 0.0))
+        .filter(|&k| turn(before[k], k, next[k]).partial_cmp(&0.0) != Some(Ordering::Greater))
         .collect();
     let is_ear = |b: usize, before: &[usize], next: &[usize], left: &[bool]| {
         let (a, c) = (before[b], next[b]);

@@ -57,7 +57,7 @@ pub fn small_glb() -> Vec<u8> {
     let mut bin: Vec<u8> = Vec::new();
     let mut views: Vec<Value> = Vec::new();
     let mut view = |bytes: &[u8]| {
-        while bin.len() % 4 != 0 {
+        while !bin.len().is_multiple_of(4) {
             bin.push(0);
         }
         views.push(json!({"buffer": 0, "byteOffset": bin.len(), "byteLength": bytes.len()}));
@@ -74,6 +74,8 @@ pub fn small_glb() -> Vec<u8> {
     let moved = view(&floats(&[2., 2., 0.]));
     let picture = view(&png(4, 2, |x, y| [60 * x as u8, 120 * y as u8, 200, 255]));
     let buffer_length = bin.len();
+    // Sine and cosine of half a quarter turn.
+    let quarter = std::f64::consts::FRAC_1_SQRT_2;
     let json = json!({
         "asset": {"version": "2.0"},
         "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_emissive_strength", "KHR_texture_transform"],
@@ -88,9 +90,9 @@ pub fn small_glb() -> Vec<u8> {
             {"name": "room", "children": [1, 2, 4, 5], "translation": [0, 0, -3]},
             {"name": "wall", "mesh": 0, "scale": [2, 2, 2]},
             {"name": "mirrored wall", "mesh": 0, "matrix": [-1,0,0,0, 0,1,0,0, 0,0,1,0, 5,0,0,1]},
-            {"name": "eye", "camera": 0, "rotation": [0, 0.70710678, 0, 0.70710678], "translation": [1, 2, 3]},
+            {"name": "eye", "camera": 0, "rotation": [0, quarter, 0, quarter], "translation": [1, 2, 3]},
             {"name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [1, 1, 1]},
-            {"name": "spot", "extensions": {"KHR_lights_punctual": {"light": 1}}, "rotation": [-0.70710678, 0, 0, 0.70710678],
+            {"name": "spot", "extensions": {"KHR_lights_punctual": {"light": 1}}, "rotation": [-quarter, 0, 0, quarter],
              "children": [6]},
             {"extensions": {"KHR_lights_punctual": {"light": 2}}}],
         "cameras": [{"type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.1}}],
