@@ -49,6 +49,9 @@ pub(crate) struct LinePlan {
     count: Vec<u32>,
     /// Expected lines per area, q_i, 1/m².
     density: Vec<f32>,
+    /// Exitance of each element and its density behind it: what a line needs of its far end, in
+    /// one place of memory.
+    ends: Vec<f32>,
 }
 
 /// Level that arrivals are measured against.
@@ -162,7 +165,7 @@ impl LinePlan {
     /// Casts the lines of the plan, the first of the sequences of `seed`. Replaces `incident` by the incident flux per area, lm/m²,
     /// and returns how many lines there were.
     pub fn cast(
-        &self,
+        &mut self,
         problem: &Problem<'_>,
         lines: &dyn LocalLines,
         sent: &Sent<'_>,
@@ -172,6 +175,15 @@ impl LinePlan {
         let columns = problem.columns();
         incident.clear();
         incident.resize(problem.len() * columns, 0.0);
+        self.ends.resize(problem.len() * (columns + 1), 0.0);
+        self.ends
+            .par_chunks_mut(columns + 1)
+            .zip(sent.exitance.par_chunks(columns))
+            .zip(&self.density)
+            .for_each(|((end, row), q)| {
+                end[..columns].copy_from_slice(row);
+                end[columns] = *q;
+            });
         let cast = match columns {
             3 => self.accumulate::<3>(lines, sent, columns, seed, incident),
             _ => self.accumulate::<0>(lines, sent, columns, seed, incident),
@@ -201,7 +213,7 @@ impl LinePlan {
         sums: &mut [f32],
     ) -> u64 {
         let columns = if C > 0 { C } else { columns };
-        let (density, count) = (&self.density[..], &self.count[..]);
+        let (ends, count) = (&self.ends[..], &self.count[..]);
         let n = count.len();
         let bin = (BIN_BYTES / (8 * columns))
             .next_power_of_two()
@@ -232,7 +244,10 @@ impl LinePlan {
             .into_par_iter()
             .map(|(first, sums)| {
                 let mut arrivals = Vec::new();
-                let mut pairs = Vec::new();
+                let load: usize = (first..first + sums.len() / columns)
+                    .map(|i| count[i] as usize)
+                    .sum();
+                let mut pairs = Vec::with_capacity(load);
                 let mut cast = 0;
                 for (k, sum) in sums.chunks_exact_mut(columns).enumerate() {
                     let i = first + k;
@@ -242,15 +257,16 @@ impl LinePlan {
                     lines.cast(ElementId(i as u32), 0..count[i], seed, &mut arrivals);
                     cast += arrivals.len() as u64;
                     let level = sent.level.of(i, columns);
+                    let (_, q) = end::<C>(ends, i, columns);
                     for &arrival in &arrivals {
                         if let Some(ElementId(j)) = arrival.element() {
-                            let w = 1.0 / (density[i] + density[j as usize]);
-                            add::<C>(sum, row::<C>(sent.exitance, j as usize, columns), level, w);
+                            let (row, far) = end::<C>(ends, j as usize, columns);
+                            add::<C>(sum, row, level, 1.0 / (q + far));
                             pairs.push((i as u32, j));
                         } else {
                             let outside = arrival == Arrival::OUTSIDE;
                             let seen = if outside { sent.outside } else { &black };
-                            add::<C>(sum, seen, level, 1.0 / density[i]);
+                            add::<C>(sum, seen, level, 1.0 / q);
                         }
                     }
                 }
@@ -263,14 +279,11 @@ impl LinePlan {
             .enumerate()
             .for_each(|(b, sums)| {
                 for &(i, j) in sorted.iter().flat_map(|s| s.of(b)) {
-                    let w = 1.0 / (density[i as usize] + density[j as usize]);
+                    let (row, far) = end::<C>(ends, i as usize, columns);
+                    let (_, q) = end::<C>(ends, j as usize, columns);
+                    let level = sent.level.of(j as usize, columns);
                     let at = (j as usize - b * bin) * columns;
-                    add::<C>(
-                        &mut sums[at..at + columns],
-                        row::<C>(sent.exitance, i as usize, columns),
-                        sent.level.of(j as usize, columns),
-                        w,
-                    );
+                    add::<C>(&mut sums[at..at + columns], row, level, 1.0 / (q + far));
                 }
             });
         sorted.iter().map(|s| s.lines).sum()
@@ -287,10 +300,12 @@ impl<'a> Level<'a> {
     }
 }
 
+/// Exitance and density of an element.
 #[inline(always)]
-fn row<const C: usize>(values: &[f32], i: usize, columns: usize) -> &[f32] {
+fn end<const C: usize>(ends: &[f32], i: usize, columns: usize) -> (&[f32], f32) {
     let columns = if C > 0 { C } else { columns };
-    &values[i * columns..(i + 1) * columns]
+    let end = &ends[i * (columns + 1)..(i + 1) * (columns + 1)];
+    (&end[..columns], end[columns])
 }
 
 #[inline(always)]

@@ -15,7 +15,7 @@
 //! A step is one pass of each chain. Passes grow, so that something can be shown early, and
 //! stay bounded. How a pass works: `line_pass.rs`.
 //!
-//! Memory: 20 bytes an element and column, 16 bytes an element, 16 bytes a line of one pass.
+//! Memory: 28 bytes an element and column, 32 bytes an element, 16 bytes a line of one pass.
 //!
 //! Sources: [Neumann95] (stochastic iteration for radiosity), [Bekaert99], chapter 6.
 
