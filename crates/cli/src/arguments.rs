@@ -7,7 +7,11 @@ use std::time::Duration;
 
 /// Light a room by radiosity: a scene file in; lit glTF, lux with a stated error and a report out.
 #[derive(Parser, Debug)]
-#[command(name = "luxel", version, max_term_width = 100, after_help = "\
+#[command(
+    name = "luxel",
+    version,
+    max_term_width = 100,
+    after_help = "\
 Examples:
   luxel light scenes/two-rooms.glb                     light it, write scenes/two-rooms.lit/
   luxel light hall.obj --lamp 3000lm@2,2.6,1           light a scene that has no lamps
@@ -15,7 +19,8 @@ Examples:
   echo '1 0.75 2  0 1 0' | luxel probe room.glb --points -
   luxel inspect room.glb                               what was read, repaired, where the lights are
 
-Exit code: 0 done; 1 asked accuracy not met or a case failed (files are written); 2 failed.")]
+Exit code: 0 done; 1 asked accuracy not met or a case failed (files are written); 2 failed."
+)]
 pub struct Arguments {
     /// What to do.
     #[command(subcommand)]
@@ -165,9 +170,14 @@ pub struct Verify {
 impl SceneArguments {
     fn apply(&self, settings: &mut Settings) {
         settings.read.scale = self.scale;
-        settings.read.up = self.up.as_deref().map(|u| if u == "z" { Up::Z } else { Up::Y });
-        settings.read.back =
-            self.back.as_deref().map(|b| if b == "same" { Back::Same } else { Back::Black });
+        settings.read.up = self
+            .up
+            .as_deref()
+            .map(|u| if u == "z" { Up::Z } else { Up::Y });
+        settings.read.back = self
+            .back
+            .as_deref()
+            .map(|b| if b == "same" { Back::Same } else { Back::Black });
         if let Some(limit) = self.max_reflectance {
             settings.read.max_reflectance = limit as f32;
         }
@@ -220,5 +230,8 @@ fn parse_solver(name: &str) -> Result<SolverKind, String> {
 }
 
 fn expected<'a>(found: &str, names: impl Iterator<Item = &'a str>) -> String {
-    format!("expected one of {}, found '{found}'", names.collect::<Vec<_>>().join(", "))
+    format!(
+        "expected one of {}, found '{found}'",
+        names.collect::<Vec<_>>().join(", ")
+    )
 }

@@ -29,7 +29,11 @@ impl Outcome {
     }
 
     fn of(reached: bool) -> Outcome {
-        if reached { Outcome::Done } else { Outcome::Short }
+        if reached {
+            Outcome::Done
+        } else {
+            Outcome::Short
+        }
     }
 }
 
@@ -81,7 +85,11 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
     };
     let outcome = luxel::light(&job, &mut |status| {
         progress.show(status);
-        if stop.load(Ordering::SeqCst) { Control::Stop } else { Control::Go }
+        if stop.load(Ordering::SeqCst) {
+            Control::Stop
+        } else {
+            Control::Go
+        }
     });
     progress.end();
     let outcome = outcome.map_err(|e| e.to_string())?;
@@ -96,7 +104,10 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
 fn probe(arguments: &Probe) -> Result<Outcome, String> {
     threads(&arguments.common)?;
     let (place, text) = if arguments.points == "-" {
-        ("standard input".to_string(), read_bounded(std::io::stdin().lock()))
+        (
+            "standard input".to_string(),
+            read_bounded(std::io::stdin().lock()),
+        )
     } else {
         let file = std::fs::File::open(&arguments.points)
             .map_err(|e| format!("{}: {e}", arguments.points))?;
@@ -111,7 +122,11 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
         Session::open(&arguments.scene.scene, &settings).map_err(|e| e.to_string())?;
     let answer = luxel::probe(&mut session, &receivers, &mut |status| {
         progress.show(status);
-        if stop.load(Ordering::SeqCst) { Control::Stop } else { Control::Go }
+        if stop.load(Ordering::SeqCst) {
+            Control::Stop
+        } else {
+            Control::Go
+        }
     });
     progress.end();
     if !arguments.common.quiet {
@@ -120,7 +135,9 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
         }
     }
     if arguments.common.json {
-        print(&(points::json(&receivers, &answer.irradiance, session.layers()).to_string() + "\n"))?;
+        print(
+            &(points::json(&receivers, &answer.irradiance, session.layers()).to_string() + "\n"),
+        )?;
     } else {
         print(&points::table(&receivers, &answer.irradiance))?;
     }
@@ -129,7 +146,10 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
 
 fn read_bounded(source: impl Read) -> Result<String, String> {
     let mut text = String::new();
-    source.take(LONGEST_LIST).read_to_string(&mut text).map_err(|e| e.to_string())?;
+    source
+        .take(LONGEST_LIST)
+        .read_to_string(&mut text)
+        .map_err(|e| e.to_string())?;
     Ok(text)
 }
 

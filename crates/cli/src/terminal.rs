@@ -36,7 +36,10 @@ impl Progress {
             return Progress::Silent;
         }
         if !std::io::stderr().is_terminal() {
-            return Progress::Lines { stage: None, last: Instant::now() };
+            return Progress::Lines {
+                stage: None,
+                last: Instant::now(),
+            };
         }
         let bar = ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr());
         let style = ProgressStyle::with_template("{prefix:>12} [{bar:32}] {msg}")

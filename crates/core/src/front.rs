@@ -125,7 +125,10 @@ const INSET: f32 = 1.0 / 1024.0;
 impl Front {
     /// An empty front over `triangles` source triangles.
     pub fn new(triangles: usize) -> Self {
-        Front { patch_of: vec![[PatchId::NONE; 2]; triangles], ..Front::default() }
+        Front {
+            patch_of: vec![[PatchId::NONE; 2]; triangles],
+            ..Front::default()
+        }
     }
 
     /// Number of elements.
@@ -158,7 +161,9 @@ impl Front {
             self.patch_of[t as usize][side as usize] = id;
         }
         let (mut normal, mut dual) = (Vec3::ZERO, [Vec3::ZERO; 2]);
-        if let Shape::Parallelogram { edge_u, edge_v, .. } | Shape::Triangle { edge_u, edge_v, .. } = shape {
+        if let Shape::Parallelogram { edge_u, edge_v, .. }
+        | Shape::Triangle { edge_u, edge_v, .. } = shape
+        {
             let n = edge_u.as_dvec3().cross(edge_v.as_dvec3());
             normal = n.normalize_or_zero().as_vec3();
             // Dual basis: dual_u . edge_u = 1, dual_u . edge_v = 0.
@@ -168,7 +173,16 @@ impl Front {
             ];
         }
         let first_cell = self.cells.len() as u32;
-        self.patches.push(Patch { surface, side, shape: shape.clone(), normal, group, grid, first_cell, dual });
+        self.patches.push(Patch {
+            surface,
+            side,
+            shape: shape.clone(),
+            normal,
+            group,
+            grid,
+            first_cell,
+            dual,
+        });
         let [nu, nv] = grid;
         match shape {
             Shape::Parallelogram { .. } => {
@@ -213,17 +227,24 @@ impl Front {
         sources: &[u32],
     ) -> PatchId {
         let first = self.cluster_triangles.len() as u32;
-        let areas: Vec<f64> = sources.iter().map(|&t| scene.area(t as usize) as f64).collect();
+        let areas: Vec<f64> = sources
+            .iter()
+            .map(|&t| scene.area(t as usize) as f64)
+            .collect();
         let whole: f64 = areas.iter().sum();
         let (mut sum, mut normal) = (0.0, Vec3::ZERO);
         for (&triangle, area) in sources.iter().zip(&areas) {
             sum += area;
-            self.cluster_triangles
-                .push(ClusterTriangle { triangle, cumulative: (sum / whole) as f32 });
+            self.cluster_triangles.push(ClusterTriangle {
+                triangle,
+                cumulative: (sum / whole) as f32,
+            });
             let [a, b, c] = scene.corners(triangle as usize);
             normal += (b - a).cross(c - a);
         }
-        let shape = Shape::Cluster { triangles: first..self.cluster_triangles.len() as u32 };
+        let shape = Shape::Cluster {
+            triangles: first..self.cluster_triangles.len() as u32,
+        };
         let id = self.add_patch(surface, side, shape, [1, 1], group, sources);
         let sign = if side == Side::Front { 1.0 } else { -1.0 };
         self.patches[id.index()].normal = normal.normalize_or_zero() * sign;
@@ -274,8 +295,10 @@ impl Front {
             ],
         };
         let centre = self.centre_st(element);
-        let (reflectance, emission) =
-            (self.reflectance[element.index()], self.emission[element.index()]);
+        let (reflectance, emission) = (
+            self.reflectance[element.index()],
+            self.emission[element.index()],
+        );
         let quarter = self.area[element.index()] * 0.25;
         let mut children = [element; 4];
         self.rect[element.index()] = rects[0];
@@ -328,7 +351,10 @@ impl Front {
                 let i = ((s * nu as f32) as u32).min(nu - 1);
                 let j = ((t * nv as f32) as u32).min(nv - 1);
                 let (ds, dt) = (1.0 / nu as f32, 1.0 / nv as f32);
-                ((j * nu + i) as usize, [i as f32 * ds, j as f32 * dt, ds, dt])
+                (
+                    (j * nu + i) as usize,
+                    [i as f32 * ds, j as f32 * dt, ds, dt],
+                )
             }
             Shape::Triangle { .. } => {
                 let n = nu;
@@ -414,22 +440,42 @@ impl Front {
         let patch = &self.patches[self.patch[element.index()].index()];
         let [s0, t0, ds, dt] = self.rect[element.index()];
         match &patch.shape {
-            Shape::Parallelogram { origin, edge_u, edge_v } => {
+            Shape::Parallelogram {
+                origin,
+                edge_u,
+                edge_v,
+            } => {
                 let (u, v) = (inset(u), inset(v));
-                (*origin + *edge_u * (s0 + u * ds) + *edge_v * (t0 + v * dt), patch.normal)
+                (
+                    *origin + *edge_u * (s0 + u * ds) + *edge_v * (t0 + v * dt),
+                    patch.normal,
+                )
             }
-            Shape::Triangle { origin, edge_u, edge_v } => {
+            Shape::Triangle {
+                origin,
+                edge_u,
+                edge_v,
+            } => {
                 let (a, b) = in_triangle(u, v);
-                (*origin + *edge_u * (s0 + a * ds) + *edge_v * (t0 + b * dt), patch.normal)
+                (
+                    *origin + *edge_u * (s0 + a * ds) + *edge_v * (t0 + b * dt),
+                    patch.normal,
+                )
             }
             Shape::Cluster { triangles } => {
                 let run = &self.cluster_triangles[triangles.start as usize..triangles.end as usize];
-                let k = run.partition_point(|c| c.cumulative <= u).min(run.len() - 1);
+                let k = run
+                    .partition_point(|c| c.cumulative <= u)
+                    .min(run.len() - 1);
                 let before = if k == 0 { 0.0 } else { run[k - 1].cumulative };
                 let width = (run[k].cumulative - before).max(f32::MIN_POSITIVE);
                 let (a, b) = in_triangle(((u - before) / width).clamp(0.0, 1.0), v);
                 let [p, q, r] = scene.corners(run[k].triangle as usize);
-                let normal = (q - p).as_dvec3().cross((r - p).as_dvec3()).normalize_or_zero().as_vec3();
+                let normal = (q - p)
+                    .as_dvec3()
+                    .cross((r - p).as_dvec3())
+                    .normalize_or_zero()
+                    .as_vec3();
                 let sign = if patch.side == Side::Front { 1.0 } else { -1.0 };
                 (p + (q - p) * a + (r - p) * b, normal * sign)
             }
@@ -452,7 +498,11 @@ impl Front {
             }
             Shape::Triangle { .. } => {
                 let at = |s, t| patch.point(s, t).as_dvec3();
-                vec![Polygon::new(vec![at(s0, t0), at(s0 + ds, t0), at(s0, t0 + dt)])]
+                vec![Polygon::new(vec![
+                    at(s0, t0),
+                    at(s0 + ds, t0),
+                    at(s0, t0 + dt),
+                ])]
             }
             Shape::Cluster { triangles } => self.cluster_triangles
                 [triangles.start as usize..triangles.end as usize]
@@ -460,7 +510,11 @@ impl Front {
                 .map(|c| {
                     let corners = scene.corners(c.triangle as usize).map(|p| p.as_dvec3());
                     let polygon = Polygon::new(corners.to_vec());
-                    if patch.side == Side::Front { polygon } else { polygon.flipped() }
+                    if patch.side == Side::Front {
+                        polygon
+                    } else {
+                        polygon.flipped()
+                    }
                 })
                 .collect(),
         }
@@ -491,8 +545,16 @@ impl Patch {
     /// World point of patch coordinates `(s, t)`. Not for a cluster, whose answer is the origin.
     pub fn point(&self, s: f32, t: f32) -> Vec3 {
         match &self.shape {
-            Shape::Parallelogram { origin, edge_u, edge_v }
-            | Shape::Triangle { origin, edge_u, edge_v } => *origin + *edge_u * s + *edge_v * t,
+            Shape::Parallelogram {
+                origin,
+                edge_u,
+                edge_v,
+            }
+            | Shape::Triangle {
+                origin,
+                edge_u,
+                edge_v,
+            } => *origin + *edge_u * s + *edge_v * t,
             Shape::Cluster { .. } => Vec3::ZERO,
         }
     }
@@ -506,8 +568,15 @@ fn inset(u: f32) -> f32 {
 /// Uniform point of the unit triangle, away from its edges; little distortion [Heitz19].
 #[inline]
 fn in_triangle(u: f32, v: f32) -> (f32, f32) {
-    let (a, b) = if v > u { (0.5 * u, v - 0.5 * u) } else { (u - 0.5 * v, 0.5 * v) };
-    (INSET + a * (1.0 - 3.0 * INSET), INSET + b * (1.0 - 3.0 * INSET))
+    let (a, b) = if v > u {
+        (0.5 * u, v - 0.5 * u)
+    } else {
+        (u - 0.5 * v, 0.5 * v)
+    };
+    (
+        INSET + a * (1.0 - 3.0 * INSET),
+        INSET + b * (1.0 - 3.0 * INSET),
+    )
 }
 
 /// How the elements of a new front inherit from those of an old one.
@@ -551,8 +620,8 @@ pub struct RefinementWish(pub Vec<f32>);
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Finish, Surface};
     use crate::element::FinishId;
+    use crate::scene::{Finish, Surface};
 
     fn triangle_scene() -> Scene {
         Scene {
@@ -576,9 +645,17 @@ mod tests {
     fn shape(parallelogram: bool) -> Shape {
         let (origin, edge_u, edge_v) = (Vec3::ZERO, Vec3::X * 2.0, Vec3::Y * 3.0);
         if parallelogram {
-            Shape::Parallelogram { origin, edge_u, edge_v }
+            Shape::Parallelogram {
+                origin,
+                edge_u,
+                edge_v,
+            }
         } else {
-            Shape::Triangle { origin, edge_u, edge_v }
+            Shape::Triangle {
+                origin,
+                edge_u,
+                edge_v,
+            }
         }
     }
 
@@ -587,12 +664,22 @@ mod tests {
         let scene = triangle_scene();
         for parallelogram in [false, true] {
             let mut front = Front::new(1);
-            front.add_patch(SurfaceId(0), Side::Front, shape(parallelogram), [3, 3], GroupId::NONE, &[0]);
+            front.add_patch(
+                SurfaceId(0),
+                Side::Front,
+                shape(parallelogram),
+                [3, 3],
+                GroupId::NONE,
+                &[0],
+            );
             let whole = front.total_area();
             for e in [0, 4, 7, 9, 12] {
                 front.split(ElementId(e)).expect("not a cluster");
             }
-            assert!((front.total_area() - whole).abs() < 1e-5, "splitting keeps area");
+            assert!(
+                (front.total_area() - whole).abs() < 1e-5,
+                "splitting keeps area"
+            );
             for e in 0..front.len() {
                 for u in [0.0, 0.13, 0.5, 0.99, 1.0] {
                     for v in [0.0, 0.31, 0.77, 1.0] {
@@ -606,7 +693,11 @@ mod tests {
                     }
                 }
             }
-            assert_eq!(front.element_at(0, Side::Back, Vec3::ZERO), None, "the back is black");
+            assert_eq!(
+                front.element_at(0, Side::Back, Vec3::ZERO),
+                None,
+                "the back is black"
+            );
         }
     }
 
@@ -615,7 +706,14 @@ mod tests {
         let scene = triangle_scene();
         for (parallelogram, area) in [(true, 6.0), (false, 3.0)] {
             let mut front = Front::new(1);
-            front.add_patch(SurfaceId(0), Side::Front, shape(parallelogram), [4, 4], GroupId::NONE, &[0]);
+            front.add_patch(
+                SurfaceId(0),
+                Side::Front,
+                shape(parallelogram),
+                [4, 4],
+                GroupId::NONE,
+                &[0],
+            );
             assert_eq!(front.len(), 16);
             let sum: f64 = (0..front.len())
                 .flat_map(|e| front.polygons(&scene, ElementId::from(e)))

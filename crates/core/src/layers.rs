@@ -51,6 +51,9 @@ mod tests {
 
     #[test]
     fn total_adds_groups_band_by_band() {
-        assert_eq!(total(&[1.0, 2.0, 3.0, 10.0, 20.0, 30.0]), Rgb::new(11.0, 22.0, 33.0));
+        assert_eq!(
+            total(&[1.0, 2.0, 3.0, 10.0, 20.0, 30.0]),
+            Rgb::new(11.0, 22.0, 33.0)
+        );
     }
 }

@@ -15,6 +15,7 @@ pub mod solution;
 pub mod texture;
 pub mod warning;
 
+pub use element::{ElementId, FinishId, GroupId, PatchId, SurfaceId, TextureId};
 pub use front::{Front, FrontChange, Patch, RefinementWish, Shape, Side};
 pub use glam;
 pub use glam::{DVec3, Vec2, Vec3};
@@ -25,7 +26,6 @@ pub use quantity::Rgb;
 pub use scene::{
     Alpha, Emission, Finish, Group, Luminaire, LuminaireKind, Scene, Sky, Surface, View,
 };
-pub use element::{ElementId, FinishId, GroupId, PatchId, SurfaceId, TextureId};
 pub use solution::Solution;
 pub use texture::Texture;
 pub use warning::{Warning, Warnings};

@@ -42,6 +42,8 @@ impl Polygon {
 
     /// The same polygon seen from the other side.
     pub fn flipped(&self) -> Polygon {
-        Polygon { vertices: self.vertices.iter().rev().copied().collect() }
+        Polygon {
+            vertices: self.vertices.iter().rev().copied().collect(),
+        }
     }
 }

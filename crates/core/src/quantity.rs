@@ -56,7 +56,9 @@ impl Rgb {
     /// The photometric value: bands weighted by [`LUMINANCE_WEIGHTS`].
     #[inline]
     pub fn luminance(self) -> f32 {
-        self.r * LUMINANCE_WEIGHTS[0] + self.g * LUMINANCE_WEIGHTS[1] + self.b * LUMINANCE_WEIGHTS[2]
+        self.r * LUMINANCE_WEIGHTS[0]
+            + self.g * LUMINANCE_WEIGHTS[1]
+            + self.b * LUMINANCE_WEIGHTS[2]
     }
 
     /// The largest band.

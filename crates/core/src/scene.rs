@@ -212,7 +212,9 @@ impl Scene {
     /// Finish of a triangle.
     #[inline]
     pub fn finish_of(&self, triangle: usize) -> &Finish {
-        &self.finishes[self.surfaces[self.surface_of[triangle].index()].finish.index()]
+        &self.finishes[self.surfaces[self.surface_of[triangle].index()]
+            .finish
+            .index()]
     }
 
     /// Area of a triangle, m².
@@ -231,7 +233,11 @@ impl Scene {
                 high = high.max(self.positions[i as usize]);
             }
         }
-        if self.triangles.is_empty() { (Vec3::ZERO, Vec3::ZERO) } else { (low, high) }
+        if self.triangles.is_empty() {
+            (Vec3::ZERO, Vec3::ZERO)
+        } else {
+            (low, high)
+        }
     }
 
     /// Length of the bounds' diagonal, metres.
@@ -242,7 +248,9 @@ impl Scene {
 
     /// The columns that a solution of this scene has.
     pub fn layers(&self) -> Layers {
-        Layers { groups: self.groups.iter().map(|g| g.name.clone()).collect() }
+        Layers {
+            groups: self.groups.iter().map(|g| g.name.clone()).collect(),
+        }
     }
 
     /// Texture coordinates at barycentric weights `(u, v)` of corners 1 and 2.
@@ -259,7 +267,9 @@ impl Scene {
         match finish.texture {
             Some(id) => {
                 finish.reflectance
-                    * self.textures[id.index()].sample(self.uv_at(triangle, u, v)).0
+                    * self.textures[id.index()]
+                        .sample(self.uv_at(triangle, u, v))
+                        .0
             }
             None => finish.reflectance,
         }
@@ -270,7 +280,10 @@ impl Scene {
         match &self.finish_of(triangle).emission {
             Some(e) => match e.texture {
                 Some(id) => {
-                    e.luminance * self.textures[id.index()].sample(self.uv_at(triangle, u, v)).0
+                    e.luminance
+                        * self.textures[id.index()]
+                            .sample(self.uv_at(triangle, u, v))
+                            .0
                 }
                 None => e.luminance,
             },
@@ -282,9 +295,11 @@ impl Scene {
     pub fn coverage_at(&self, triangle: usize, u: f32, v: f32) -> f32 {
         let finish = self.finish_of(triangle);
         let covered = || {
-            let texel = finish
-                .texture
-                .map_or(1.0, |id| self.textures[id.index()].sample(self.uv_at(triangle, u, v)).1);
+            let texel = finish.texture.map_or(1.0, |id| {
+                self.textures[id.index()]
+                    .sample(self.uv_at(triangle, u, v))
+                    .1
+            });
             finish.coverage * texel
         };
         match finish.alpha {

@@ -33,7 +33,11 @@ pub struct Texture {
 /// Decodes one sRGB byte to linear light [IEC61966-2-1].
 pub fn linear_from_srgb(byte: u8) -> f32 {
     let v = byte as f32 / 255.0;
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+    if v <= 0.04045 {
+        v / 12.92
+    } else {
+        ((v + 0.055) / 1.055).powf(2.4)
+    }
 }
 
 impl Texture {
@@ -49,7 +53,10 @@ impl Texture {
                 Wrap::Clamp => i.clamp(0, n - 1),
             }) as usize
         };
-        let (column, row) = (place(x, self.width, self.wrap[0]), place(y, self.height, self.wrap[1]));
+        let (column, row) = (
+            place(x, self.width, self.wrap[0]),
+            place(y, self.height, self.wrap[1]),
+        );
         self.rgba[row * self.width as usize + column]
     }
 
@@ -61,7 +68,13 @@ impl Texture {
             return (Rgb::WHITE, 1.0);
         }
         // Beyond 2^20 repetitions f32 holds no fraction worth reading.
-        let bounded = |v: f32| if v.is_finite() && v.abs() < 1.0e6 { v } else { 0.0 };
+        let bounded = |v: f32| {
+            if v.is_finite() && v.abs() < 1.0e6 {
+                v
+            } else {
+                0.0
+            }
+        };
         let x = bounded(uv.x) * self.width as f32 - 0.5;
         let y = bounded(uv.y) * self.height as f32 - 0.5;
         let (x0, y0) = (x.floor(), y.floor());
@@ -93,7 +106,11 @@ impl Texture {
             }
         }
         let n = self.rgba.len().max(1) as f64;
-        Rgb::new((sum[0] / n) as f32, (sum[1] / n) as f32, (sum[2] / n) as f32)
+        Rgb::new(
+            (sum[0] / n) as f32,
+            (sum[1] / n) as f32,
+            (sum[2] / n) as f32,
+        )
     }
 }
 

@@ -36,7 +36,11 @@ impl Warnings {
             return;
         }
         let (place, what) = (place.into(), what.into());
-        match self.list.iter_mut().find(|w| w.place == place && w.what == what) {
+        match self
+            .list
+            .iter_mut()
+            .find(|w| w.place == place && w.what == what)
+        {
             Some(known) => known.count += count,
             None => self.list.push(Warning { place, what, count }),
         }

@@ -273,7 +273,11 @@ impl Task {
     /// shadow edge crosses, the rays' own weights do, since visible share and factor go together.
     fn sum(&self) -> f64 {
         let mixed = self.seen[0] < self.seen[1];
-        if mixed { self.free } else { self.factor * self.seen[1] as f64 }
+        if mixed {
+            self.free
+        } else {
+            self.factor * self.seen[1] as f64
+        }
     }
 }
 

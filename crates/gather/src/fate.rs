@@ -34,9 +34,20 @@ impl DirectLights {
     ///
     /// Exact for `emitted` (but for parallel light); the shares have the error of 256 to
     /// 131,072 low-discrepancy rays a light, typically below 1 %.
-    pub fn fate(&self, front: &Front, caster: &dyn RayCaster, bounds: (Vec3, Vec3), seed: u32) -> Fate {
+    pub fn fate(
+        &self,
+        front: &Front,
+        caster: &dyn RayCaster,
+        bounds: (Vec3, Vec3),
+        seed: u32,
+    ) -> Fate {
         let zero = || vec![0.0; self.columns];
-        let mut fate = Fate { emitted: zero(), landed: zero(), black: zero(), outside: zero() };
+        let mut fate = Fate {
+            emitted: zero(),
+            landed: zero(),
+            black: zero(),
+            outside: zero(),
+        };
         let count = (RAYS / self.lights.len().max(1) as u32).max(FEWEST);
         let (mut rays, mut weights) = (Vec::new(), Vec::new());
         let mut hits = Vec::new();
@@ -91,7 +102,12 @@ impl Light {
     /// A ray of light for uniform numbers, and its weight: the mean of the weights times `tint`
     /// is the flux, lm.
     fn emit(&self, [a, b, u, v]: [f32; 4], offset: f32, (low, high): (Vec3, Vec3)) -> (Ray, f64) {
-        let ray = |origin, direction| Ray { origin, t_min: 0.0, direction, t_max: f32::INFINITY };
+        let ray = |origin, direction| Ray {
+            origin,
+            t_min: 0.0,
+            direction,
+            t_max: f32::INFINITY,
+        };
         match &self.kind {
             LightKind::Polygon(e) => {
                 let c = &e.polygon.vertices;
@@ -109,16 +125,25 @@ impl Light {
                 (ray(origin, cosine_hemisphere([u, v], normal)), e.area)
             }
             LightKind::Luminaire(l) => match l.kind {
-                LuminaireKind::Point { .. } => (ray(l.position, cap(-1.0, [u, v], Vec3::Z)), SPHERE_SR as f64),
-                LuminaireKind::Spot { cos_inner, cos_outer, .. } => {
+                LuminaireKind::Point { .. } => (
+                    ray(l.position, cap(-1.0, [u, v], Vec3::Z)),
+                    SPHERE_SR as f64,
+                ),
+                LuminaireKind::Spot {
+                    cos_inner,
+                    cos_outer,
+                    ..
+                } => {
                     let direction = cap(cos_outer, [u, v], l.direction);
-                    let ramp = (direction.dot(l.direction) - cos_outer) / (cos_inner - cos_outer).max(1e-3);
+                    let ramp = (direction.dot(l.direction) - cos_outer)
+                        / (cos_inner - cos_outer).max(1e-3);
                     let weight = SPHERE_SR * 0.5 * (1.0 - cos_outer) * ramp.clamp(0.0, 1.0).powi(2);
                     (ray(l.position, direction), weight as f64)
                 }
-                LuminaireKind::Lambertian { .. } => {
-                    (ray(l.position, cosine_hemisphere([u, v], l.direction)), LAMBERTIAN as f64)
-                }
+                LuminaireKind::Lambertian { .. } => (
+                    ray(l.position, cosine_hemisphere([u, v], l.direction)),
+                    LAMBERTIAN as f64,
+                ),
                 LuminaireKind::Directional { .. } => {
                     let (centre, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
                     let side = l.direction.any_orthonormal_vector();
@@ -126,7 +151,10 @@ impl Light {
                     let (r, angle) = (radius * u.sqrt(), TAU * v);
                     let origin = centre - l.direction * (2.0 * radius)
                         + (side * angle.cos() + other * angle.sin()) * r;
-                    (ray(origin, l.direction), (LAMBERTIAN * radius * radius) as f64)
+                    (
+                        ray(origin, l.direction),
+                        (LAMBERTIAN * radius * radius) as f64,
+                    )
                 }
             },
         }
@@ -165,8 +193,19 @@ mod tests {
     fn a_lamp_in_the_void_loses_its_lumens() {
         let kinds = [
             // 4 pi, pi, and 2 pi (1 - cos) / 3 lm for one candela: a soft hemisphere's edge counts a third.
-            (LuminaireKind::Point { intensity: Rgb::WHITE, range_m: f32::INFINITY }, 12.566371),
-            (LuminaireKind::Lambertian { intensity: Rgb::WHITE }, LAMBERTIAN as f64),
+            (
+                LuminaireKind::Point {
+                    intensity: Rgb::WHITE,
+                    range_m: f32::INFINITY,
+                },
+                12.566371,
+            ),
+            (
+                LuminaireKind::Lambertian {
+                    intensity: Rgb::WHITE,
+                },
+                LAMBERTIAN as f64,
+            ),
             (
                 LuminaireKind::Spot {
                     intensity: Rgb::WHITE,
@@ -186,13 +225,19 @@ mod tests {
                     kind,
                     group: GroupId(0),
                 }],
-                groups: vec![luxel_core::Group { name: "lamp".into() }],
+                groups: vec![luxel_core::Group {
+                    name: "lamp".into(),
+                }],
                 ..Scene::default()
             };
             let front = Front::new(0);
             let fate = DirectLights::new(&scene, &front).fate(&front, &Void, scene.bounds(), 1);
             // 2^17 low-discrepancy rays integrate a smooth ramp to well below 1e-4.
-            assert!((fate.emitted[1] - lumens).abs() < 1e-4 * lumens, "{kind:?}: {}", fate.emitted[1]);
+            assert!(
+                (fate.emitted[1] - lumens).abs() < 1e-4 * lumens,
+                "{kind:?}: {}",
+                fate.emitted[1]
+            );
             assert_eq!(fate.outside[1], fate.emitted[1]);
         }
     }

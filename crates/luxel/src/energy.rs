@@ -5,8 +5,8 @@
 //! luminaires, and the solver's own balance.
 
 use crate::session::Session;
-use luxel_core::layers::{BANDS, luminance};
 use luxel_core::Solution;
+use luxel_core::layers::{BANDS, luminance};
 use luxel_visualise::report::{Energy, Flux, GroupFlux};
 
 /// Photometric sum of one group's columns.

@@ -90,20 +90,50 @@ impl std::fmt::Display for Inspection {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [x, y, z] = self.size_m;
         writeln!(f, "{}", self.scene)?;
-        writeln!(f, "  triangles    {} in {} surfaces", self.triangles, self.surfaces)?;
-        writeln!(f, "  size         {x:.2} x {y:.2} x {z:.2} m, {:.1} m2 of surface", self.area_m2)?;
-        writeln!(f, "  finishes     {}, {} textures, mean reflectance {:.2}", self.finishes, self.textures, self.mean_reflectance)?;
+        writeln!(
+            f,
+            "  triangles    {} in {} surfaces",
+            self.triangles, self.surfaces
+        )?;
+        writeln!(
+            f,
+            "  size         {x:.2} x {y:.2} x {z:.2} m, {:.1} m2 of surface",
+            self.area_m2
+        )?;
+        writeln!(
+            f,
+            "  finishes     {}, {} textures, mean reflectance {:.2}",
+            self.finishes, self.textures, self.mean_reflectance
+        )?;
         match self.closed {
-            Some(share) => writeln!(f, "  closed       {:.1} % of the rays from inside meet a surface", 100.0 * share)?,
+            Some(share) => writeln!(
+                f,
+                "  closed       {:.1} % of the rays from inside meet a surface",
+                100.0 * share
+            )?,
             None => writeln!(f, "  closed       no: no point was found that is inside")?,
         }
         if !self.views.is_empty() {
             writeln!(f, "  views        {}", self.views.join(", "))?;
         }
-        writeln!(f, "  lights       {}", if self.lights.is_empty() { "none: add one with --lamp, --emit or --sky" } else { "" })?;
+        writeln!(
+            f,
+            "  lights       {}",
+            if self.lights.is_empty() {
+                "none: add one with --lamp, --emit or --sky"
+            } else {
+                ""
+            }
+        )?;
         for l in &self.lights {
-            let flux = l.flux_lm.map_or(String::new(), |lm| format!(", {lm:.0} lm"));
-            writeln!(f, "    {}: {}{flux}, {} (group {})", l.name, l.kind, l.place, l.group)?;
+            let flux = l
+                .flux_lm
+                .map_or(String::new(), |lm| format!(", {lm:.0} lm"));
+            writeln!(
+                f,
+                "    {}: {}{flux}, {} (group {})",
+                l.name, l.kind, l.place, l.group
+            )?;
         }
         if !self.warnings.is_empty() {
             writeln!(f, "  warnings")?;
@@ -134,7 +164,12 @@ fn closedness(scene: &Arc<Scene>) -> Option<f64> {
         caster.closest(rays, &mut hits);
         hits.iter().filter(|h| h.is_hit()).count()
     };
-    let ray = |origin: Vec3, direction: Vec3| Ray { origin, t_min: 0.0, direction, t_max: f32::INFINITY };
+    let ray = |origin: Vec3, direction: Vec3| Ray {
+        origin,
+        t_min: 0.0,
+        direction,
+        t_max: f32::INFINITY,
+    };
     let mut inside = Vec::new();
     for k in 0..TRIED {
         let u = points.point4(k);
@@ -170,21 +205,40 @@ fn lights(scene: &Scene) -> Vec<Light> {
     let mut list = Vec::new();
     for l in &scene.luminaires {
         let (kind, flux, place) = match l.kind {
-            LuminaireKind::Point { intensity, .. } => {
-                ("point", Some((intensity.luminance() * SPHERE_SR) as f64), place(l.position))
-            }
-            LuminaireKind::Spot { intensity, cos_inner, cos_outer, .. } => (
-                "spot",
-                Some(spot_flux(intensity.luminance() as f64, cos_inner as f64, cos_outer as f64)),
+            LuminaireKind::Point { intensity, .. } => (
+                "point",
+                Some((intensity.luminance() * SPHERE_SR) as f64),
                 place(l.position),
             ),
-            LuminaireKind::Lambertian { intensity } => {
-                ("Lambertian point", Some((intensity.luminance() * LAMBERTIAN) as f64), place(l.position))
-            }
+            LuminaireKind::Spot {
+                intensity,
+                cos_inner,
+                cos_outer,
+                ..
+            } => (
+                "spot",
+                Some(spot_flux(
+                    intensity.luminance() as f64,
+                    cos_inner as f64,
+                    cos_outer as f64,
+                )),
+                place(l.position),
+            ),
+            LuminaireKind::Lambertian { intensity } => (
+                "Lambertian point",
+                Some((intensity.luminance() * LAMBERTIAN) as f64),
+                place(l.position),
+            ),
             LuminaireKind::Directional { illuminance } => (
                 "directional",
                 None,
-                format!("{:.0} lx along {:.2}, {:.2}, {:.2}", illuminance.luminance(), l.direction.x, l.direction.y, l.direction.z),
+                format!(
+                    "{:.0} lx along {:.2}, {:.2}, {:.2}",
+                    illuminance.luminance(),
+                    l.direction.x,
+                    l.direction.y,
+                    l.direction.z
+                ),
             ),
         };
         list.push(Light {
@@ -196,7 +250,9 @@ fn lights(scene: &Scene) -> Vec<Light> {
         });
     }
     for (id, finish) in scene.finishes.iter().enumerate() {
-        let Some(emission) = &finish.emission else { continue };
+        let Some(emission) = &finish.emission else {
+            continue;
+        };
         let (mut flux, mut area, mut count) = (0.0f64, 0.0f64, 0usize);
         let mut centre = Vec3::ZERO;
         for surface in scene.surfaces.iter().filter(|s| s.finish.index() == id) {
@@ -216,10 +272,18 @@ fn lights(scene: &Scene) -> Vec<Light> {
         }
         list.push(Light {
             name: finish.name.clone(),
-            kind: format!("{:.3} m2 in {count} surface{}", area, if count == 1 { "" } else { "s" }),
+            kind: format!(
+                "{:.3} m2 in {count} surface{}",
+                area,
+                if count == 1 { "" } else { "s" }
+            ),
             group: scene.groups[emission.group.index()].name.clone(),
             flux_lm: Some(flux),
-            place: if area > 0.0 { format!("around{}", &place(centre / area as f32)[2..]) } else { "nowhere".into() },
+            place: if area > 0.0 {
+                format!("around{}", &place(centre / area as f32)[2..])
+            } else {
+                "nowhere".into()
+            },
         });
     }
     if let Some(sky) = &scene.sky {
@@ -228,7 +292,10 @@ fn lights(scene: &Scene) -> Vec<Light> {
             kind: "uniform sky".into(),
             group: scene.groups[sky.group.index()].name.clone(),
             flux_lm: None,
-            place: format!("{:.0} cd/m2 from everywhere outside", sky.luminance.luminance()),
+            place: format!(
+                "{:.0} cd/m2 from everywhere outside",
+                sky.luminance.luminance()
+            ),
         });
     }
     list
@@ -247,6 +314,9 @@ mod tests {
 
     #[test]
     fn spot_flux_of_a_hard_hemisphere_is_two_pi_candela() {
-        assert!((spot_flux(1.0, 0.0, 0.0) - 2.0 * std::f64::consts::PI).abs() < 1e-6, "f32 constant");
+        assert!(
+            (spot_flux(1.0, 0.0, 0.0) - 2.0 * std::f64::consts::PI).abs() < 1e-6,
+            "f32 constant"
+        );
     }
 }

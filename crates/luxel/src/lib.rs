@@ -21,20 +21,23 @@ mod work;
 pub use error::Error;
 pub use inspect::{Inspection, inspect};
 pub use light::{LightJob, Outcome, light};
-pub use probe::{Answer, probe};
-pub use watch::{Control, Status, Watch};
 pub use luxel_core::{Scene, Solution, Vec3, Warnings};
 pub use luxel_gather::{Accuracy, Irradiance, Receiver};
 pub use luxel_io::{Back, ReadOptions, Up};
 pub use luxel_mesh::Kind as MeshKind;
 pub use luxel_solve::{Kind as SolverKind, Progress};
+pub use probe::{Answer, probe};
 pub use session::{Session, read};
 pub use settings::Settings;
 pub use stage::Stage;
+pub use watch::{Control, Status, Watch};
 
 /// Uses this many threads for everything; 0 is one for each core. Results do not depend on it.
 ///
 /// To be called before any work; a second call is an error.
 pub fn use_threads(threads: usize) -> Result<(), String> {
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|e| e.to_string())
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(|e| e.to_string())
 }

@@ -13,8 +13,8 @@ use crate::work::{self, End};
 use luxel_core::{Solution, View};
 use luxel_gather::{Accuracy, Irradiance};
 use luxel_io::{LitPrimitive, LitScale, StoredSolution};
-use luxel_visualise::report::{self, Report, State};
 use luxel_visualise::preview::render;
+use luxel_visualise::report::{self, Report, State};
 use luxel_visualise::tone::linear_scale;
 use luxel_visualise::{Exposure, LitMesh, LitPart, PreviewSettings};
 use std::path::{Path, PathBuf};
@@ -64,7 +64,10 @@ pub struct Outcome {
 /// Lights a scene file. `watch` is told of every step and may stop the job, which then ends with
 /// valid files and a solution that can be resumed.
 pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
-    let folder = job.output.clone().unwrap_or_else(|| job.scene.with_extension("lit"));
+    let folder = job
+        .output
+        .clone()
+        .unwrap_or_else(|| job.scene.with_extension("lit"));
     watch(&Status::begin(Stage::Read));
     let mut session = Session::open(&job.scene, &job.settings)?;
     let view = choose_view(&session, job.view.as_deref())?;
@@ -123,22 +126,44 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
     let stopped = solved == End::Stopped || gathered == End::Stopped;
     let exposure = write_picture(&session, &mesh, &view, &folder)?;
     write_lit_scene(&session, &mesh, &folder.join("scene.glb"))?;
-    let report =
-        make_report(job, &mut session, &solution, &mesh, &irradiance, &exposure, stopped);
+    let report = make_report(
+        job,
+        &mut session,
+        &solution,
+        &mesh,
+        &irradiance,
+        &exposure,
+        stopped,
+    );
     let report_json = report.to_json();
     write(&folder.join("report.json"), report_json.as_bytes())?;
-    let table = format!("{}\nwritten to {}\n", report::table(&report).trim_end(), folder.display());
+    let table = format!(
+        "{}\nwritten to {}\n",
+        report::table(&report).trim_end(),
+        folder.display()
+    );
     let reached = report.state == State::Finished;
-    Ok(Outcome { folder, reached, report, report_json, table })
+    Ok(Outcome {
+        folder,
+        reached,
+        report,
+        report_json,
+        table,
+    })
 }
 
 fn make_folder(folder: &Path) -> Result<(), Error> {
-    std::fs::create_dir_all(folder)
-        .map_err(|source| Error::Write { path: folder.to_owned(), source })
+    std::fs::create_dir_all(folder).map_err(|source| Error::Write {
+        path: folder.to_owned(),
+        source,
+    })
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    luxel_io::write_atomic(path, bytes).map_err(|source| Error::Write { path: path.to_owned(), source })
+    luxel_io::write_atomic(path, bytes).map_err(|source| Error::Write {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 fn choose_view(session: &Session, name: Option<&str>) -> Result<View, Error> {
@@ -156,9 +181,17 @@ fn choose_view(session: &Session, name: Option<&str>) -> Result<View, Error> {
 }
 
 /// A picture within the first second: what the first steps found, with the ambient term.
-fn first_picture(session: &mut Session, mesh: &mut LitMesh, view: &View, folder: &Path) -> Result<(), Error> {
+fn first_picture(
+    session: &mut Session,
+    mesh: &mut LitMesh,
+    view: &View,
+    folder: &Path,
+) -> Result<(), Error> {
     let displayed = session.displayed();
-    let accuracy = Accuracy { rays: [FIRST_RAYS; 2], ..session.accuracy(&displayed) };
+    let accuracy = Accuracy {
+        rays: [FIRST_RAYS; 2],
+        ..session.accuracy(&displayed)
+    };
     let irradiance = session.irradiance_at(&displayed, &mesh.receivers, &accuracy);
     mesh.set_irradiance(&irradiance);
     let written = write_picture(session, mesh, view, folder);
@@ -167,32 +200,65 @@ fn first_picture(session: &mut Session, mesh: &mut LitMesh, view: &View, folder:
 }
 
 /// Writes the picture and answers how it was exposed.
-fn write_picture(session: &Session, mesh: &LitMesh, view: &View, folder: &Path) -> Result<Exposure, Error> {
+fn write_picture(
+    session: &Session,
+    mesh: &LitMesh,
+    view: &View,
+    folder: &Path,
+) -> Result<Exposure, Error> {
     let (picture, exposure) = render(session.scene(), mesh, view, &PreviewSettings::default());
     let path = folder.join("preview.png");
-    let png = picture.png().map_err(|e| Error::Write { path: path.clone(), source: std::io::Error::other(e) })?;
+    let png = picture.png().map_err(|e| Error::Write {
+        path: path.clone(),
+        source: std::io::Error::other(e),
+    })?;
     write(&path, &png)?;
     Ok(exposure)
 }
 
-fn store(session: &Session, solution: &Solution, path: &Path, fingerprint: u64) -> Result<(), Error> {
-    let stored = StoredSolution { fingerprint, step: session.progress().step, solution: solution.clone() };
-    luxel_io::write_solution(path, &stored)
-        .map_err(|source| Error::Write { path: path.to_owned(), source })
+fn store(
+    session: &Session,
+    solution: &Solution,
+    path: &Path,
+    fingerprint: u64,
+) -> Result<(), Error> {
+    let stored = StoredSolution {
+        fingerprint,
+        step: session.progress().step,
+        solution: solution.clone(),
+    };
+    luxel_io::write_solution(path, &stored).map_err(|source| Error::Write {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 /// Tells one scene with one set of settings from another, so that a solution is never resumed
 /// on elements that it does not belong to.
 fn fingerprint(session: &Session, settings: &Settings) -> u64 {
-    luxel_io::fingerprint(session.scene(), session.front(), &[settings.mesh.name(), settings.solver.name()], settings.seed)
+    luxel_io::fingerprint(
+        session.scene(),
+        session.front(),
+        &[settings.mesh.name(), settings.solver.name()],
+        settings.seed,
+    )
 }
 
 fn write_lit_scene(session: &Session, mesh: &LitMesh, path: &Path) -> Result<(), Error> {
-    let primitives: Vec<LitPrimitive<'_>> =
-        mesh.parts.iter().map(|part| lit_primitive(mesh, part)).collect();
-    let scale = LitScale { colour_per_lux: linear_scale(mesh) };
-    luxel_io::write_lit_glb(session.scene(), session.source(), &primitives, &scale, path)
-        .map_err(|source| Error::Write { path: path.to_owned(), source })
+    let primitives: Vec<LitPrimitive<'_>> = mesh
+        .parts
+        .iter()
+        .map(|part| lit_primitive(mesh, part))
+        .collect();
+    let scale = LitScale {
+        colour_per_lux: linear_scale(mesh),
+    };
+    luxel_io::write_lit_glb(session.scene(), session.source(), &primitives, &scale, path).map_err(
+        |source| Error::Write {
+            path: path.to_owned(),
+            source,
+        },
+    )
 }
 
 fn lit_primitive<'a>(mesh: &'a LitMesh, part: &LitPart) -> LitPrimitive<'a> {
@@ -226,14 +292,17 @@ fn make_report(
     let energy = energy(session, solution);
     session.clock_mut().end(Stage::Write);
     let clock = session.clock_mut().clone();
-    let stages = Stage::ALL.into_iter().filter(|&s| clock.of(s).wall > 0.0).map(|stage| {
-        let seconds = clock.of(stage);
-        report::Stage {
-            name: stage.name().into(),
-            wall_s: seconds.wall,
-            cpu_s: (seconds.cpu > 0.0).then_some(seconds.cpu),
-        }
-    });
+    let stages = Stage::ALL
+        .into_iter()
+        .filter(|&s| clock.of(s).wall > 0.0)
+        .map(|stage| {
+            let seconds = clock.of(stage);
+            report::Stage {
+                name: stage.name().into(),
+                wall_s: seconds.wall,
+                cpu_s: (seconds.cpu > 0.0).then_some(seconds.cpu),
+            }
+        });
     let state = match (stopped, reached <= asked) {
         (_, true) => State::Finished,
         (true, false) => State::Stopped,

@@ -56,7 +56,15 @@ impl Matter {
             }
         }
         let area = front.area.iter().map(|&a| a as f64).collect();
-        Matter { layers, area, reflectance, emission, outside, direct_landed, direct_reflected }
+        Matter {
+            layers,
+            area,
+            reflectance,
+            emission,
+            outside,
+            direct_landed,
+            direct_reflected,
+        }
     }
 
     /// Direct light of the direct lights on all elements, lm, one entry a column.

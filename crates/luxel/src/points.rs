@@ -23,13 +23,19 @@ pub fn parse(place: &str, text: &str) -> Result<Vec<Receiver>, String> {
             continue;
         }
         let wrong = |found: &str| {
-            format!("{place}:{}: expected 6 numbers 'x y z nx ny nz', found {found}", index + 1)
+            format!(
+                "{place}:{}: expected 6 numbers 'x y z nx ny nz', found {found}",
+                index + 1
+            )
         };
         if line.len() > LONGEST_LINE {
             return Err(wrong(&format!("a line of {} characters", line.len())));
         }
         let mut numbers = Vec::with_capacity(6);
-        for word in line.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty()) {
+        for word in line
+            .split(|c: char| c.is_whitespace() || c == ',')
+            .filter(|w| !w.is_empty())
+        {
             match word.parse::<f32>() {
                 Ok(v) if v.is_finite() => numbers.push(v),
                 _ => return Err(wrong(&format!("'{word}'"))),
@@ -65,7 +71,17 @@ pub fn table(receivers: &[Receiver], irradiance: &Irradiance) -> String {
         writeln!(
             text,
             "{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{}",
-            p.x, p.y, p.z, n.x, n.y, n.z, total.r, total.g, total.b, total.luminance(), irradiance.errors[k]
+            p.x,
+            p.y,
+            p.z,
+            n.x,
+            n.y,
+            n.z,
+            total.r,
+            total.g,
+            total.b,
+            total.luminance(),
+            irradiance.errors[k]
         )
         .expect("writing to a string");
     }
@@ -133,6 +149,9 @@ mod tests {
         let text = table(&receivers, &irradiance);
         let row: Vec<&str> = text.lines().nth(1).expect("a row").split('\t').collect();
         assert_eq!(row.len(), 11);
-        assert_eq!((row[6], row[7], row[8], row[10]), ("11", "22", "33", "0.25"));
+        assert_eq!(
+            (row[6], row[7], row[8], row[10]),
+            ("11", "22", "33", "0.25")
+        );
     }
 }

@@ -26,5 +26,8 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
         let value = luxel_core::layers::luminance(row);
         error <= (accuracy.relative * value).max(accuracy.floor_lux)
     });
-    Answer { irradiance, reached: met && solved == End::Reached && gathered == End::Reached }
+    Answer {
+        irradiance,
+        reached: met && solved == End::Reached && gathered == End::Reached,
+    }
 }

@@ -61,7 +61,8 @@ pub fn read(path: &Path, settings: &Settings) -> Result<Document, Error> {
     let mut document = luxel_io::read(path, &read)?;
     let scene = &mut document.scene;
     for lamp in &settings.lamps {
-        scene_ops::add_lamp(scene, lamp).map_err(|e| Error::Setting(format!("--lamp {lamp}: {e}")))?;
+        scene_ops::add_lamp(scene, lamp)
+            .map_err(|e| Error::Setting(format!("--lamp {lamp}: {e}")))?;
     }
     for emit in &settings.emit {
         scene_ops::set_emission(scene, emit)
@@ -83,7 +84,13 @@ impl Session {
         let mut clock = Clock::start();
         let document = read(path, settings)?;
         clock.end(Stage::Read);
-        Session::start(document.scene, Some(document.source), document.warnings, settings, clock)
+        Session::start(
+            document.scene,
+            Some(document.source),
+            document.warnings,
+            settings,
+            clock,
+        )
     }
 
     /// Makes a scene that is in memory ready to solve.
@@ -112,7 +119,10 @@ impl Session {
         let caster = Bvh::build(&scene);
         clock.end(Stage::Prepare);
 
-        if settings.elements.is_none() && settings.element_edge_m.is_none() && !settings.solver.needs_lines() {
+        if settings.elements.is_none()
+            && settings.element_edge_m.is_none()
+            && !settings.solver.needs_lines()
+        {
             // A stored matrix grows with the square of the elements.
             mesh = MeshSettings::for_scene(&scene, MATRIX_ELEMENTS);
         }
@@ -123,7 +133,12 @@ impl Session {
         let lights = DirectLights::new(&scene, &front);
         let mut session = Session {
             settings: settings.clone(),
-            matter: Matter::new(&scene, &front, &lights, &vec![0.0; front.len() * scene.layers().columns()]),
+            matter: Matter::new(
+                &scene,
+                &front,
+                &lights,
+                &vec![0.0; front.len() * scene.layers().columns()],
+            ),
             scene,
             source,
             warnings,
@@ -144,17 +159,30 @@ impl Session {
     /// What depends on the front alone: direct light of its elements, and its form factors.
     fn take_front(&mut self) -> Result<(), Error> {
         self.lights = DirectLights::new(&self.scene, &self.front);
-        let samples = if self.front.len() > MANY_ELEMENTS { 4 } else { 16 };
-        let settings =
-            ElementDirect { samples, seed: self.settings.seed, ..ElementDirect::default() };
+        let samples = if self.front.len() > MANY_ELEMENTS {
+            4
+        } else {
+            16
+        };
+        let settings = ElementDirect {
+            samples,
+            seed: self.settings.seed,
+            ..ElementDirect::default()
+        };
         let direct =
-            self.lights.element_irradiance(&self.scene, &self.front, &self.caster, &settings);
+            self.lights
+                .element_irradiance(&self.scene, &self.front, &self.caster, &settings);
         self.matter = Matter::new(&self.scene, &self.front, &self.lights, &direct);
         self.clock.end(Stage::Direct);
         if !self.settings.solver.needs_lines() {
             // Most pairs of a room see each other: 16 bytes each, and LU holds three bands of f64.
             let pairs = (self.front.len() as u64).pow(2);
-            let needed = pairs * if self.settings.solver == luxel_solve::Kind::Direct { 48 } else { 16 };
+            let needed = pairs
+                * if self.settings.solver == luxel_solve::Kind::Direct {
+                    48
+                } else {
+                    16
+                };
             if needed > self.settings.memory || !self.settings.solver.fits(self.front.len()) {
                 return Err(Error::Setting(format!(
                     "--solver {}: {} elements need about {} MB of form factors, too many; \
@@ -164,8 +192,16 @@ impl Session {
                     needed / 1_000_000
                 )));
             }
-            let settings = MatrixSettings { seed: self.settings.seed, ..MatrixSettings::default() };
-            self.factors = Some(Matrix::assemble(&self.scene, &self.front, &self.caster, &settings));
+            let settings = MatrixSettings {
+                seed: self.settings.seed,
+                ..MatrixSettings::default()
+            };
+            self.factors = Some(Matrix::assemble(
+                &self.scene,
+                &self.front,
+                &self.caster,
+                &settings,
+            ));
             self.clock.end(Stage::Factors);
         }
         Ok(())
@@ -191,7 +227,9 @@ impl Session {
         }
         let solution = self.solution();
         let wish = luxel_mesh::neighbour_difference(&self.scene, &self.front, &solution);
-        let Some((front, change)) = self.strategy.refine(&self.scene, &self.front, &solution, &wish)
+        let Some((front, change)) =
+            self.strategy
+                .refine(&self.scene, &self.front, &solution, &wish)
         else {
             self.refinements = MOST_REFINEMENTS;
             return false;
@@ -233,14 +271,17 @@ impl Session {
                 Transport::Lines(&lines)
             }
         };
-        self.solver.solution(&self.matter.problem(transport, self.settings.seed))
+        self.solver
+            .solution(&self.matter.problem(transport, self.settings.seed))
     }
 
     /// Exitance with the ambient term added: for a picture of an unfinished solution, never stored.
     pub fn displayed(&self) -> Solution {
         let mut solution = self.solution();
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let problem = self.matter.problem(Transport::Lines(&lines), self.settings.seed);
+        let problem = self
+            .matter
+            .problem(Transport::Lines(&lines), self.settings.seed);
         solution.exitance = luxel_solve::ambient::displayed(&problem, &solution);
         solution
     }
@@ -248,7 +289,11 @@ impl Session {
     /// All that leaves an element, own emission and reflected light of every group, lm/m².
     pub fn leaving(&self, solution: &Solution, element: usize) -> Exitance {
         let apart = self.lights.is_direct(self.front.patch[element]);
-        let own = if apart { self.front.emission[element] } else { Rgb::BLACK };
+        let own = if apart {
+            self.front.emission[element]
+        } else {
+            Rgb::BLACK
+        };
         Exitance::new(solution.total(element) + own)
     }
 
@@ -267,9 +312,20 @@ impl Session {
     /// `values[receiver * columns + column]` in lux of each band, with one standard error a layer
     /// and one for the total. The errors hold the noise of gather and shadow rays; the solution's
     /// own error is in [`Solution::relative_error`].
-    pub fn irradiance_at(&self, solution: &Solution, receivers: &[Receiver], accuracy: &Accuracy) -> Irradiance {
-        Gatherer::new(&self.scene, &self.front, &self.caster, solution, &self.lights)
-            .irradiance_at(receivers, accuracy)
+    pub fn irradiance_at(
+        &self,
+        solution: &Solution,
+        receivers: &[Receiver],
+        accuracy: &Accuracy,
+    ) -> Irradiance {
+        Gatherer::new(
+            &self.scene,
+            &self.front,
+            &self.caster,
+            solution,
+            &self.lights,
+        )
+        .irradiance_at(receivers, accuracy)
     }
 
     /// The accuracy that the settings ask for, with darkness measured against `solution`.
@@ -294,7 +350,11 @@ impl Session {
                 area += a;
             }
         }
-        if area > 0.0 { (lumens / area) as f32 } else { 0.0 }
+        if area > 0.0 {
+            (lumens / area) as f32
+        } else {
+            0.0
+        }
     }
 
     /// Energy balance of the solution, lumens.
@@ -307,7 +367,11 @@ impl Session {
                 Transport::Lines(&lines)
             }
         };
-        luxel_solve::balance::measure(&self.matter.problem(transport, self.settings.seed), solution, BALANCE_LINES)
+        luxel_solve::balance::measure(
+            &self.matter.problem(transport, self.settings.seed),
+            solution,
+            BALANCE_LINES,
+        )
     }
 
     /// The scene as it is solved.

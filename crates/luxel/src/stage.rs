@@ -72,7 +72,11 @@ impl Clock {
     /// Starts now.
     pub fn start() -> Clock {
         let now = Instant::now();
-        Clock { began: now, last: (now, cpu_seconds()), stages: Default::default() }
+        Clock {
+            began: now,
+            last: (now, cpu_seconds()),
+            stages: Default::default(),
+        }
     }
 
     /// Books the time since the last call on `stage`.

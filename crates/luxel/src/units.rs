@@ -17,7 +17,9 @@ fn split(text: &str) -> Result<(f64, &str), String> {
     let mut end = 0;
     while end < bytes.len() {
         let exponent = matches!(bytes[end], b'e' | b'E')
-            && bytes.get(end + 1).is_some_and(|c| c.is_ascii_digit() || matches!(c, b'+' | b'-'));
+            && bytes
+                .get(end + 1)
+                .is_some_and(|c| c.is_ascii_digit() || matches!(c, b'+' | b'-'));
         if bytes[end].is_ascii_digit() || matches!(bytes[end], b'.' | b'+' | b'-') || exponent {
             end += 1;
         } else {
@@ -28,7 +30,9 @@ fn split(text: &str) -> Result<(f64, &str), String> {
         .parse()
         .map_err(|_| format!("expected a number with a unit, found '{text}'"))?;
     if !value.is_finite() || value < 0.0 {
-        return Err(format!("expected a finite number of at least 0, found '{text}'"));
+        return Err(format!(
+            "expected a finite number of at least 0, found '{text}'"
+        ));
     }
     Ok((value, text[end..].trim()))
 }
@@ -38,9 +42,20 @@ fn by_unit(text: &str, units: &[(&str, f64)], example: &str) -> Result<f64, Stri
     match units.iter().find(|u| u.0.eq_ignore_ascii_case(unit)) {
         Some((_, factor)) => Ok(value * factor),
         None => {
-            let known: Vec<&str> = units.iter().map(|u| u.0).filter(|u| !u.is_empty()).collect();
-            let found = if unit.is_empty() { "none".to_string() } else { format!("'{unit}'") };
-            Err(format!("expected a unit ({}) as in {example}, found {found}", known.join(", ")))
+            let known: Vec<&str> = units
+                .iter()
+                .map(|u| u.0)
+                .filter(|u| !u.is_empty())
+                .collect();
+            let found = if unit.is_empty() {
+                "none".to_string()
+            } else {
+                format!("'{unit}'")
+            };
+            Err(format!(
+                "expected a unit ({}) as in {example}, found {found}",
+                known.join(", ")
+            ))
         }
     }
 }
@@ -52,7 +67,13 @@ pub fn share(text: &str) -> Result<f64, String> {
 
 /// A length in metres: `5cm`, `2.5m`, `3mm`, `1ft`, `4in`.
 pub fn length_m(text: &str) -> Result<f64, String> {
-    let units = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0), ("ft", 0.3048), ("in", 0.0254)];
+    let units = [
+        ("mm", 1e-3),
+        ("cm", 1e-2),
+        ("m", 1.0),
+        ("ft", 0.3048),
+        ("in", 0.0254),
+    ];
     by_unit(text, &units, "5cm")
 }
 
@@ -87,7 +108,12 @@ mod tests {
         assert_eq!(share("1e-2"), Ok(0.01));
         assert_eq!(bytes("1.5GiB"), Ok(1610612736));
         assert_eq!(duration("2min"), Ok(Duration::from_secs(120)));
-        for (wrong, told) in [("60", "unit"), ("x", "number"), ("-3s", "at least 0"), ("3lm", "'lm'")] {
+        for (wrong, told) in [
+            ("60", "unit"),
+            ("x", "number"),
+            ("-3s", "at least 0"),
+            ("3lm", "'lm'"),
+        ] {
             let message = duration(wrong).expect_err("not a duration");
             assert!(message.contains(told), "{wrong}: {message}");
         }

@@ -20,7 +20,13 @@ pub struct Status {
 impl Status {
     /// The start of a stage.
     pub fn begin(stage: Stage) -> Status {
-        Status { stage, share: 0.0, unshot: None, error: None, left_s: None }
+        Status {
+            stage,
+            share: 0.0,
+            unshot: None,
+            error: None,
+            left_s: None,
+        }
     }
 }
 

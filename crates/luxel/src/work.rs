@@ -33,7 +33,10 @@ pub fn solve(
     mut each: impl FnMut(&mut Session),
 ) -> End {
     let began = Instant::now();
-    let bound = session.settings().time.map(|t| t.as_secs_f64() * SOLVE_SHARE);
+    let bound = session
+        .settings()
+        .time
+        .map(|t| t.as_secs_f64() * SOLVE_SHARE);
     let asked = session.settings().error;
     let mut last = Status::begin(Stage::Solve);
     if watch(&last) == Control::Stop {
@@ -44,7 +47,11 @@ pub fn solve(
         let elapsed = began.elapsed().as_secs_f64();
         // Noise falls with the root of the work, so work grows with the square of the ratio.
         let known = progress.relative_error.is_finite() && progress.relative_error > 0.0;
-        let share = if known { (asked / progress.relative_error).powi(2).min(1.0) } else { 0.0 };
+        let share = if known {
+            (asked / progress.relative_error).powi(2).min(1.0)
+        } else {
+            0.0
+        };
         last.share = share.max(last.share);
         last.unshot = Some(progress.unshot_share);
         last.error = known.then_some(progress.relative_error);
@@ -67,8 +74,14 @@ pub fn gather(
     stopped: bool,
 ) -> (Irradiance, End) {
     let began = Instant::now();
-    let bound = session.settings().time.map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
-    let mut all = Irradiance { columns: solution.columns(), ..Irradiance::default() };
+    let bound = session
+        .settings()
+        .time
+        .map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
+    let mut all = Irradiance {
+        columns: solution.columns(),
+        ..Irradiance::default()
+    };
     let mut end = if stopped { End::Stopped } else { End::Reached };
     let mut status = Status::begin(Stage::Gather);
     for (index, chunk) in receivers.chunks(CHUNK).enumerate() {

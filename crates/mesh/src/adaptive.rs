@@ -5,7 +5,7 @@
 //! (the old values are re-used). Neighbours differ by at most one level within a patch, and by
 //! about that across patches; a neighbour that is too coarse is split first.
 //!
-//! Source: [Author99], 6.3.1, figures 6.4 and 6.5. Differs: exitance differences are divided by
+//! Source: [Yeap99], 6.3.1, figures 6.4 and 6.5. Differs: exitance differences are divided by
 //! reflectance, so that the pattern of a texture is not taken for a shadow.
 
 use crate::contract::{MeshSettings, Strategy};

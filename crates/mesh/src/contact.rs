@@ -74,7 +74,8 @@ impl Groups {
                     let corners = scene.corners(o as usize);
                     let [a, b, c] = corners.map(|p| p.as_dvec3());
                     let flat = corners.iter().all(|&p| {
-                        plane.holds(p) || plane.distance(p.as_dvec3()).abs() < 0.1 * tolerance_m
+                        plane.holds(p, tolerance_m)
+                            || plane.distance(p.as_dvec3()).abs() < 0.1 * tolerance_m
                     });
                     if flat && (b - a).cross(c - a).dot(plane.normal) > 0.0 {
                         groups.of[o as usize] = id;

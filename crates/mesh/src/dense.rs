@@ -1,6 +1,6 @@
 //! Higher-density uniform mesh: nine elements along an edge where the uniform mesh has five.
 //!
-//! Source: [Author99], 4.3.2, figure 4.7: the same function over 9 elements instead of 5. The
+//! Source: [Yeap99], 4.3.2, figure 4.7: the same function over 9 elements instead of 5. The
 //! error of a smooth function falls in proportion to the width of an element.
 
 use crate::contract::{MeshSettings, Strategy};

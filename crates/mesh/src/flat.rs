@@ -97,9 +97,9 @@ impl Plane {
         (p - self.origin).dot(self.normal)
     }
 
-    /// Within what rounding of the coordinates to f32 explains: two units in the last place,
-    /// enlarged by extrapolation from this triangle.
-    pub fn holds(&self, p: Vec3) -> bool {
+    /// Whether a point is off by no more than rounding of coordinates to f32 explains: two units
+    /// in the last place, enlarged by extrapolation from this triangle, but not above `most_m`.
+    pub fn holds(&self, p: Vec3, most_m: f64) -> bool {
         let rel = p.as_dvec3() - self.origin;
         let ulp = p
             .abs()
@@ -107,7 +107,7 @@ impl Plane {
             .max(self.origin.abs().max_element() as f32) as f64
             * 1.2e-7;
         let far = 1.0 + rel.length() / self.size.max(1e-30);
-        rel.dot(self.normal).abs() <= 2.0 * ulp * far + 1e-7 * rel.length()
+        rel.dot(self.normal).abs() <= (2.0 * ulp * far + 1e-7 * rel.length()).min(most_m)
     }
 }
 
@@ -115,6 +115,11 @@ impl Plane {
 pub(crate) fn flats(scene: &Scene, wanted: &[bool]) -> Flats {
     let next = adjacency(&scene.triangles, &scene.surface_of, wanted);
     let mut out = Flats::default();
+    // Rays start eight units in the last place of the largest coordinate above a patch
+    // (`RayCaster::offset_m`); a source triangle may not come nearer than that. Four corners
+    // that are off by two each are off by eight at worst.
+    let (low, high) = scene.bounds();
+    let most_m = 2.0 * f32::EPSILON as f64 * low.abs().max(high.abs()).max_element() as f64;
     let mut region_of = vec![NONE; scene.triangles.len()];
     // Large triangles first: the plane of a sliver is uncertain.
     let mut seeds: Vec<(i32, u32)> = (0..scene.triangles.len())
@@ -142,7 +147,7 @@ pub(crate) fn flats(scene: &Scene, wanted: &[bool]) -> Flats {
                 let corners = scene.corners(o as usize);
                 let [a, b, c] = corners.map(|p| p.as_dvec3());
                 if (b - a).cross(c - a).dot(plane.normal) > 0.0
-                    && corners.iter().all(|&p| plane.holds(p))
+                    && corners.iter().all(|&p| plane.holds(p, most_m))
                 {
                     region_of[o as usize] = count;
                     region.push(o);

@@ -5,9 +5,9 @@
 //! than an element share clusters. When that gives more elements than allowed, the element size
 //! is raised until it fits.
 //!
-//! Source: [Author99], 4.3.1, figure 4.6.
+//! Source: [Yeap99], 4.3.1, figure 4.6.
 
-use crate::cluster::{Item, Limits, groups};
+use crate::cluster::{Clusters, Limits, Tiny, clusters};
 use crate::contract::{MeshSettings, Strategy};
 use crate::flat::{Flat, Flats, flats};
 use crate::shade::shade;
@@ -15,8 +15,8 @@ use crate::sides::{SIDES, lit_side};
 use luxel_core::{Front, FrontChange, RefinementWish, Scene, Shape, Side, Solution};
 use rayon::prelude::*;
 
-/// Shapes below this share of the largest element are clustered.
-const TINY: f32 = 1.0 / 8.0;
+/// Shapes below this share of the largest element are clustered, unless they are long.
+const TINY: f32 = 1.0 / 4.0;
 /// An element edge is at most this many times the edge of the largest square element.
 const STRETCH: f32 = 2.0;
 
@@ -51,19 +51,37 @@ impl Strategy for Uniform {
 
 /// The largest element area that a uniform mesh under `settings` really keeps, m².
 ///
-/// `settings.max_area_m2`, or more when `settings.max_elements` would be exceeded otherwise.
+/// `settings.max_area_m2`, or more when `settings.max_elements` would be exceeded otherwise. The
+/// number of elements cannot fall below about six for each surface and side with tiny triangles,
+/// nor, without clusters, below one for each flat shape.
 pub fn effective_max_area(scene: &Scene, settings: &MeshSettings) -> f32 {
     mesh(scene, settings, |n| n).1
 }
 
 /// How a scene is cut at one element size.
+#[derive(Default)]
 struct Plan {
     /// Index of a flat and its grid.
     patches: Vec<(u32, [u32; 2])>,
-    /// Triangles of the clusters, group by group.
-    clustered: Vec<u32>,
-    /// Length of each group.
-    groups: Vec<u32>,
+    clusters: Clusters,
+}
+
+impl Plan {
+    fn elements(&self, scene: &Scene, flats: &Flats, lit: &[[bool; 2]]) -> usize {
+        let sides = |surface: usize| lit[surface].iter().filter(|&&l| l).count();
+        let mut count = 0;
+        for &(i, [nu, nv]) in &self.patches {
+            let surface = flats.list[i as usize].surface;
+            count += nu as usize * nv as usize * sides(surface.index());
+        }
+        let mut first = 0;
+        for &n in &self.clusters.lengths {
+            let t = self.clusters.triangles[first] as usize;
+            first += n as usize;
+            count += sides(scene.surface_of[t].index());
+        }
+        count
+    }
 }
 
 /// A shaded front, and the element area it kept. `density` maps the cells along an edge of a
@@ -86,26 +104,21 @@ pub(crate) fn mesh(
     let flats = flats(scene, &wanted);
     let sides = |flat: &Flat| lit[flat.surface.index()].iter().filter(|&&l| l).count();
 
-    let largest: f64 = flats
+    let whole = flats
         .list
         .iter()
         .map(|f| f.area as f64)
         .sum::<f64>()
-        .max(1e-12);
-    let mut area = settings.max_area_m2.max((largest * 1e-9) as f32);
-    let mut cos_cone = CONE;
-    let mut plan = Plan {
-        patches: Vec::new(),
-        clustered: Vec::new(),
-        groups: Vec::new(),
-    };
-    for _ in 0..ROUNDS {
+        .max(1e-12) as f32;
+    let mut area = settings.max_area_m2.max(whole * 1e-9);
+    let mut plan = Plan::default();
+    for round in 0..ROUNDS {
         // Grids alone first: cheap, and most often what exceeds the limit.
         let grids = |area: f32| -> usize {
             flats
                 .list
                 .par_iter()
-                .filter(|f| !(settings.cluster && f.area < TINY * area))
+                .filter(|f| !(settings.cluster && is_tiny(f, area)))
                 .map(|f| {
                     let [nu, nv] = grid(f, area).map(density);
                     nu as usize * nv as usize * sides(f)
@@ -113,61 +126,53 @@ pub(crate) fn mesh(
                 .sum()
         };
         let mut patches = grids(area);
-        while patches > settings.max_elements && area < largest as f32 {
+        while patches > settings.max_elements && area < whole {
             area *= 1.1;
             patches = grids(area);
         }
-        plan = cut(scene, &flats, settings.cluster, area, cos_cone, density);
-        let clusters: usize = {
-            let mut first = 0;
-            plan.groups
-                .iter()
-                .map(|&n| {
-                    let t = plan.clustered[first] as usize;
-                    first += n as usize;
-                    lit[scene.surface_of[t].index()]
-                        .iter()
-                        .filter(|&&l| l)
-                        .count()
-                })
-                .sum()
+        // The first attempt has narrow cones; where even that is too much, the six directions
+        // of a box are kept apart and no more.
+        let (directions, cos_cone) = if round == 0 { NARROW } else { WIDE };
+        let limits = Limits {
+            cube_m: area.sqrt(),
+            area_m2: area,
+            directions,
+            cos_cone,
         };
-        let count = patches + clusters;
-        if count <= settings.max_elements || area >= largest as f32 {
+        plan = cut(scene, &flats, settings.cluster, limits, density);
+        let count = plan.elements(scene, &flats, &lit);
+        if count <= settings.max_elements || area >= whole || !settings.cluster {
             break;
         }
-        area *= (count as f32 / settings.max_elements.max(1) as f32).clamp(1.2, 8.0);
-        cos_cone = (cos_cone - 0.1).max(WIDEST_CONE);
+        if round > 0 {
+            area *= (count as f32 / settings.max_elements.max(1) as f32).clamp(1.15, 8.0);
+        }
     }
     (build(scene, &flats, &plan), area)
 }
 
-/// Cosine of the cone of a cluster's normals: 27 degrees.
-const CONE: f32 = 0.89;
-/// The same when clusters alone exceed the limit: 60 degrees, so that each of the six
-/// directions of a box is still apart.
-const WIDEST_CONE: f32 = 0.5;
+/// Directions and cosine of the cone (27 degrees) of a cluster's normals.
+const NARROW: (u32, f32) = (3, 0.89);
+/// The same when clusters would exceed the limit on elements: a face of the cube map reaches to
+/// 55 degrees from its axis, 70 from a mean near its rim.
+const WIDE: (u32, f32) = (1, 0.34);
 /// Most attempts to get below the limit on elements.
-const ROUNDS: usize = 12;
+const ROUNDS: usize = 16;
 
 fn cut(
     scene: &Scene,
     flats: &Flats,
     cluster: bool,
-    area: f32,
-    cos_cone: f32,
+    limits: Limits,
     density: impl Fn(u32) -> u32,
 ) -> Plan {
-    let mut plan = Plan {
-        patches: Vec::new(),
-        clustered: Vec::new(),
-        groups: Vec::new(),
-    };
+    let area = limits.area_m2;
+    let mut plan = Plan::default();
     // (surface, region) of each tiny shape: pieces of a larger region stay within it, or a
     // cluster would join the two sides of a contact line.
     let mut tiny: Vec<(u32, u32, u32)> = Vec::new();
     for (i, flat) in flats.list.iter().enumerate() {
-        if cluster && flat.area < TINY * area {
+        if cluster && is_tiny(flat, area) {
             let region = if flat.region_area > area {
                 flat.region
             } else {
@@ -180,32 +185,61 @@ fn cut(
         }
     }
     tiny.par_sort_unstable();
-    let limits = Limits {
-        extent_m: area.sqrt(),
-        area_m2: area,
-        cos_cone,
-    };
-    let runs: Vec<&[(u32, u32, u32)]> = tiny.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).collect();
-    let parts: Vec<(Vec<Item>, Vec<u32>)> = runs
-        .par_iter()
-        .map(|run| {
-            let mut items: Vec<Item> = run
-                .iter()
-                .flat_map(|&(_, _, i)| {
-                    let r = &flats.list[i as usize].triangles;
-                    &flats.triangles[r.start as usize..r.end as usize]
-                })
-                .map(|&t| Item::of_triangle(scene, t))
-                .collect();
-            let lengths = groups(&mut items, limits);
-            (items, lengths)
-        })
-        .collect();
-    for (items, lengths) in parts {
-        plan.clustered.extend(items.iter().map(|i| i.id));
-        plan.groups.extend(lengths);
+    let mut members = Vec::new();
+    for (family, run) in tiny.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).enumerate() {
+        for &(_, _, i) in run {
+            let flat = &flats.list[i as usize];
+            let share = if flat.parallelogram { 0.5 } else { 1.0 / 3.0 };
+            let centre = flat.origin + (flat.edge_u + flat.edge_v) * share;
+            let run = flat.triangles.start as usize..flat.triangles.end as usize;
+            let family = family as u32;
+            members.extend(flats.triangles[run].iter().map(|&triangle| Tiny {
+                family,
+                triangle,
+                centre,
+            }));
+        }
+    }
+    let mut flat_of = vec![u32::MAX; scene.triangles.len()];
+    for &(_, _, i) in &tiny {
+        let r = &flats.list[i as usize].triangles;
+        for &t in &flats.triangles[r.start as usize..r.end as usize] {
+            flat_of[t as usize] = i;
+        }
+    }
+    let all = clusters(scene, &members, limits);
+    let mut first = 0;
+    for &n in &all.lengths {
+        let group = &all.triangles[first..first + n as usize];
+        first += n as usize;
+        // A shape that shares with no other stays what it is: flat, and able to be split.
+        let flat = flat_of[group[0] as usize];
+        if flats.list[flat as usize].triangles.len() == group.len()
+            && group.iter().all(|&t| flat_of[t as usize] == flat)
+        {
+            plan.patches.push((flat, [1, 1]));
+        } else {
+            plan.clusters.triangles.extend_from_slice(group);
+            plan.clusters.lengths.push(n);
+        }
     }
     plan
+}
+
+/// Whether a flat shape is to share an element: much smaller than one, and not so long that it
+/// would be alone in its group anyway.
+fn is_tiny(flat: &Flat, area: f32) -> bool {
+    let (u, v) = (flat.edge_u, flat.edge_v);
+    let across = if flat.parallelogram {
+        (u + v).length_squared()
+    } else {
+        0.0
+    };
+    let longest = u
+        .length_squared()
+        .max(v.length_squared())
+        .max((u - v).length_squared());
+    flat.area < TINY * area && longest.max(across) <= 4.0 * area
 }
 
 /// Cells along both edges of a flat shape for elements no larger than `area`.
@@ -278,8 +312,8 @@ fn build(scene: &Scene, flats: &Flats, plan: &Plan) -> Front {
         }
     }
     let mut first = 0;
-    for &n in &plan.groups {
-        let triangles = &plan.clustered[first..first + n as usize];
+    for &n in &plan.clusters.lengths {
+        let triangles = &plan.clusters.triangles[first..first + n as usize];
         first += n as usize;
         let t = triangles[0] as usize;
         let surface = scene.surface_of[t];

@@ -187,7 +187,7 @@ fn scene_without_contacts_comes_back_as_it_was() {
 #[test]
 fn small_things_do_not_cut_and_large_ones_do() {
     // A 5 cm leg and a 1 m box on a 6 x 6 m floor; elements of 0.25 m2, so contacts from
-    // 0.25 m on count.
+    // 0.5 m on count.
     for (size, cuts) in [(0.05, false), (1.0, true)] {
         let mut b = Builder::new("on the floor");
         let grey = b.matte("grey", 0.5, 0.5, 0.5);
@@ -272,6 +272,72 @@ fn line_along_the_diagonal_of_a_floor_is_not_joined_again() {
         .filter(|p| p.normal.z.abs() > 0.5)
         .count();
     assert_eq!(floor, 8);
+}
+
+#[test]
+fn line_that_ends_on_another_closes_the_gap() {
+    // Two screens in T, turned so that the foot of the T ends 30 micrometres short of the bar or
+    // as much beyond it. The three rooms must stay apart: a hair-thin piece that joined two of
+    // them would let a patch span the foot.
+    for gap in [3e-5, 0.0, -3e-5] {
+        let turn = glam::Mat3::from_rotation_z(0.37);
+        let mut b = Builder::new("T");
+        let grey = b.thin("grey", 0.5, 0.5, 0.5);
+        let at = |x: f32, y: f32, z: f32| turn * v(x, y, z);
+        b.on("floor", grey).polygon(&[
+            at(-2., 0., 0.),
+            at(2., 0., 0.),
+            at(2., 3., 0.),
+            at(-2., 3., 0.),
+        ]);
+        b.on("bar", grey).polygon(&[
+            at(-2., 2., 0.),
+            at(2., 2., 0.),
+            at(2., 2., 1.),
+            at(-2., 2., 1.),
+        ]);
+        let end = 2.0 - gap;
+        b.on("foot", grey).polygon(&[
+            at(0.3, 0., 0.),
+            at(0.3, end, 0.),
+            at(0.3, end, 1.),
+            at(0.3, 0., 1.),
+        ]);
+        let scene = b.build();
+        let (new, _) = prepared(&scene, 0.25);
+        // The pieces of a T are large; a gap left open would be filled by one of 4 m x 30 um.
+        let floor = new.surfaces[0].triangles.clone();
+        assert!(
+            floor.clone().all(|t| new.area(t as usize) > 1e-2),
+            "gap {gap}"
+        );
+        assert_watertight(&scene, &new);
+        let front = Kind::Uniform.build(settings(0.25)).initial(&new);
+        for e in 0..front.len() {
+            if front.normal(ElementId::from(e)).z.abs() < 0.5 {
+                continue;
+            }
+            let back = turn.transpose().as_dmat3();
+            let points: Vec<glam::DVec3> = front
+                .polygons(&new, ElementId::from(e))
+                .iter()
+                .flat_map(|p| p.vertices.iter().map(|v| back * *v).collect::<Vec<_>>())
+                .collect();
+            // 0.2 mm: the tolerance of contacts.
+            let within = |low: f64, high: f64, of: &dyn Fn(&glam::DVec3) -> f64| {
+                points
+                    .iter()
+                    .all(|p| of(p) > low - 2e-4 && of(p) < high + 2e-4)
+            };
+            let (x, y) = (|p: &glam::DVec3| p.x, |p: &glam::DVec3| p.y);
+            let behind = within(2.0, 3.0, &y);
+            let before = within(0.0, 2.0, &y) && (within(-2.0, 0.3, &x) || within(0.3, 2.0, &x));
+            assert!(
+                behind || before,
+                "gap {gap}: element {e} spans two rooms: {points:?}"
+            );
+        }
+    }
 }
 
 #[test]

@@ -38,8 +38,13 @@ impl Hit {
     pub const NOTHING: u32 = u32::MAX;
 
     /// The answer for a ray that left the scene.
-    pub const MISS: Hit =
-        Hit { t: f32::INFINITY, triangle: Hit::NOTHING, u: 0.0, v: 0.0, side: Side::Front };
+    pub const MISS: Hit = Hit {
+        t: f32::INFINITY,
+        triangle: Hit::NOTHING,
+        u: 0.0,
+        v: 0.0,
+        side: Side::Front,
+    };
 
     /// Whether something was struck.
     #[inline]
@@ -124,7 +129,11 @@ impl Arrival {
     /// The element, if it ended on one.
     #[inline]
     pub fn element(self) -> Option<ElementId> {
-        if self.0 < Arrival::BLACK.0 { Some(ElementId(self.0)) } else { None }
+        if self.0 < Arrival::BLACK.0 {
+            Some(ElementId(self.0))
+        } else {
+            None
+        }
     }
 }
 
@@ -142,5 +151,11 @@ pub trait LocalLines: Sync + Send {
     /// Casts lines `samples` of the low-discrepancy sequence that belongs to (`element`,
     /// `seed`). `arrivals` is replaced, one entry a sample, in order. Any run of a power of two
     /// samples is well spread.
-    fn cast(&self, element: ElementId, samples: std::ops::Range<u32>, seed: u32, arrivals: &mut Vec<Arrival>);
+    fn cast(
+        &self,
+        element: ElementId,
+        samples: std::ops::Range<u32>,
+        seed: u32,
+        arrivals: &mut Vec<Arrival>,
+    );
 }

@@ -6,20 +6,20 @@ pub mod bvh;
 pub mod closed_forms;
 pub mod constant;
 pub mod contract;
+pub(crate) mod dilogarithm;
+pub mod hemicube;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;
 mod kernel_portable;
-mod lanes;
-pub(crate) mod dilogarithm;
-pub mod hemicube;
 pub mod lambert;
+mod lanes;
 pub mod lines;
 pub mod matrix;
 pub mod monte_carlo;
 pub mod obstructed;
+mod packet;
 pub mod polygon_pair;
 pub(crate) mod quadrature;
-mod packet;
 pub mod sampling;
 pub mod strings;
 #[cfg(test)]

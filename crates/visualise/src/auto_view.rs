@@ -299,10 +299,10 @@ fn judge(
             sum += worth * near * (0.5 + 0.5 * deep);
             seen.push(scene.surface_of[triangle]);
         }
-        // Many things are better than one: up to a third more for ten surfaces in sight.
+        // Many things are better than a bare wall: up to three quarters more for twelve surfaces.
         seen.sort_unstable();
         seen.dedup();
-        let variety = (seen.len() as f32).min(10.0) / 30.0;
+        let variety = (seen.len() as f32).min(12.0) / 16.0;
         scores.push(sum / n as f32 * (1.0 + variety));
     }
     scores

@@ -372,6 +372,8 @@ impl Builder {
         for o in &self.outlines {
             let v = &vertex_of[o.corners.start as usize..o.corners.end as usize];
             match *v {
+                // Corners closer than the tolerance are one place, and such a facet is a line.
+                [a, b, c] if a == b || b == c || c == a => {}
                 [a, b, c] => triangles.push([a, b, c]),
                 [a, b, c, d] if self.is_convex(o) => {
                     quads.push(triangles.len() as u32);
@@ -388,7 +390,8 @@ impl Builder {
                         uv: o.uv,
                         receiver,
                     });
-                    triangles.extend((0..v.len()).map(|k| [hub, v[k], v[(k + 1) % v.len()]]));
+                    let rim = (0..v.len()).map(|k| [v[k], v[(k + 1) % v.len()]]);
+                    triangles.extend(rim.filter(|[a, b]| a != b).map(|[a, b]| [hub, a, b]));
                 }
             }
         }
@@ -864,7 +867,7 @@ mod tests {
     fn dimming_scales_one_group_and_bad_numbers_become_dark() {
         let (scene, front) = square_front(1);
         let mut mesh = LitMesh::build(&scene, &front, None);
-        let mut values = vec![1.0, 2.0, 3.0, 10.0, 20.0, 30.0].repeat(4);
+        let mut values = [1.0, 2.0, 3.0, 10.0, 20.0, 30.0].repeat(4);
         values[6] = f32::NAN;
         let answers = Irradiance {
             columns: 6,

@@ -208,7 +208,7 @@ impl Shot {
         let scale = match scale {
             Some(given) => given,
             None => {
-                let lux: Vec<f32> = self.pixels.iter().filter_map(|p| first_lux(p)).collect();
+                let lux: Vec<f32> = self.pixels.iter().filter_map(first_lux).collect();
                 fitted = LuxScale::around(&lux);
                 &fitted
             }

@@ -1,18 +1,19 @@
 //! From luminance to the screen: exposure, tone curve, encoding, false colour.
 //!
-//! Exposure follows the log-average luminance, which is brought to middle grey; white follows a
+//! Exposure follows the log-average luminance, which is brought near middle grey; white follows a
 //! high percentile, so that about 99 % of a picture stays below it [Reinhard02]. The curve works
 //! on luminance and keeps hue; what is still too bright for one band fades to white.
 //!
 //! Source: [Reinhard02], equations 1, 2 and 4. Differs: darkest and brightest percent are left
-//! out of the average; the key counts after the curve, so middle grey is middle grey.
+//! out of the average; the key counts after the curve.
 
 use crate::lit_mesh::LitMesh;
 use luxel_core::Rgb;
 use luxel_core::quantity::LAMBERTIAN;
 
-/// Display value that the log-average luminance gets: middle grey, 18 % linear.
-const KEY: f32 = 0.18;
+/// Display value that the log-average luminance gets: a little more than middle grey (18 %
+/// linear), since rooms are lighter than what photographers call average.
+const KEY: f32 = 0.22;
 
 /// Luminance that saturates a camera at exposure value 0 and ISO 100, cd/m² [Lagarde14].
 const SATURATION_EV0: f32 = 1.2;
@@ -30,7 +31,7 @@ impl Exposure {
     /// For a picture whose pixels have these luminances (cd/m², any order; zeros and numbers
     /// that are not finite do not count).
     ///
-    /// The log-average becomes middle grey, or less where a fifth of the picture is far brighter;
+    /// The log-average becomes about middle grey, or less where a fifth of the picture is far brighter;
     /// at least 99 % of the given values stay below white,
     /// unless the brightest percent is over a thousand times the average.
     pub fn automatic(luminances: &[f32]) -> Exposure {
@@ -262,9 +263,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_average_becomes_middle_grey() {
+    fn the_average_becomes_the_key() {
         // A picture of one luminance: log-average = that value, so display = key, but for the
-        // curve's second term x² / white² (1 + x): white is 1.5 here, x = 0.2195.
+        // curve's second term x² / white² (1 + x): white is 1.5 here, x = 0.282.
         let e = Exposure::automatic(&[73.0; 100]);
         let grey = e.display(Rgb::splat(73.0)).g;
         let x = KEY / (1.0 - KEY);

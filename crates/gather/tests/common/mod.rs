@@ -35,10 +35,18 @@ impl Quad {
         Quad { group, ..self }
     }
     pub fn reflecting(self, n: u32) -> Quad {
-        Quad { reflects: true, grid: [n, n], ..self }
+        Quad {
+            reflects: true,
+            grid: [n, n],
+            ..self
+        }
     }
     pub fn flipped(self) -> Quad {
-        Quad { u: self.v, v: self.u, ..self }
+        Quad {
+            u: self.v,
+            v: self.u,
+            ..self
+        }
     }
     pub fn polygon(&self) -> Polygon {
         let (o, u, v) = (self.corner.as_dvec3(), self.u.as_dvec3(), self.v.as_dvec3());
@@ -63,13 +71,26 @@ pub fn cuboid(low: [f32; 3], high: [f32; 3], inside: bool) -> Vec<Quad> {
 }
 
 pub fn scene(quads: &[Quad], groups: u32) -> (Arc<Scene>, Front) {
-    let mut s = Scene { up: Vec3::Z, ..Scene::default() };
-    s.groups = (0..groups).map(|g| Group { name: format!("group {g}") }).collect();
+    let mut s = Scene {
+        up: Vec3::Z,
+        ..Scene::default()
+    };
+    s.groups = (0..groups)
+        .map(|g| Group {
+            name: format!("group {g}"),
+        })
+        .collect();
     for (k, q) in quads.iter().enumerate() {
         let first = s.positions.len() as u32;
         let at = s.triangles.len() as u32;
-        s.positions.extend([q.corner, q.corner + q.u, q.corner + q.u + q.v, q.corner + q.v]);
-        s.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+        s.positions.extend([
+            q.corner,
+            q.corner + q.u,
+            q.corner + q.u + q.v,
+            q.corner + q.v,
+        ]);
+        s.triangles
+            .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
         s.surface_of.extend([SurfaceId(k as u32); 2]);
         s.source_triangle.extend([0, 1]);
         s.surfaces.push(Surface {
@@ -82,9 +103,16 @@ pub fn scene(quads: &[Quad], groups: u32) -> (Arc<Scene>, Front) {
         });
         let luminance = Rgb::splat(q.exitance / quantity::LAMBERTIAN);
         s.finishes.push(Finish {
-            reflectance: if q.reflects { Rgb::splat(0.5) } else { Rgb::BLACK },
-            emission: (q.exitance > 0.0)
-                .then_some(Emission { luminance, texture: None, group: GroupId(q.group) }),
+            reflectance: if q.reflects {
+                Rgb::splat(0.5)
+            } else {
+                Rgb::BLACK
+            },
+            emission: (q.exitance > 0.0).then_some(Emission {
+                luminance,
+                texture: None,
+                group: GroupId(q.group),
+            }),
             ..Finish::default()
         });
     }
@@ -93,11 +121,26 @@ pub fn scene(quads: &[Quad], groups: u32) -> (Arc<Scene>, Front) {
         if !q.reflects && q.exitance == 0.0 {
             continue;
         }
-        let group = if q.exitance > 0.0 { GroupId(q.group) } else { GroupId::NONE };
-        let shape = Shape::Parallelogram { origin: q.corner, edge_u: q.u, edge_v: q.v };
+        let group = if q.exitance > 0.0 {
+            GroupId(q.group)
+        } else {
+            GroupId::NONE
+        };
+        let shape = Shape::Parallelogram {
+            origin: q.corner,
+            edge_u: q.u,
+            edge_v: q.v,
+        };
         let sources = [2 * k as u32, 2 * k as u32 + 1];
         let before = front.len();
-        front.add_patch(SurfaceId(k as u32), Side::Front, shape, q.grid, group, &sources);
+        front.add_patch(
+            SurfaceId(k as u32),
+            Side::Front,
+            shape,
+            q.grid,
+            group,
+            &sources,
+        );
         for e in before..front.len() {
             front.emission[e] = Rgb::splat(q.exitance);
             front.reflectance[e] = s.finishes[k].reflectance;
@@ -109,6 +152,12 @@ pub fn scene(quads: &[Quad], groups: u32) -> (Arc<Scene>, Front) {
 pub fn solution(scene: &Scene, front: &Front, exitance: impl Fn(usize, usize) -> f32) -> Solution {
     let layers = scene.layers();
     let columns = layers.columns();
-    let exitance = (0..front.len() * columns).map(|i| exitance(i / columns, i % columns)).collect();
-    Solution { layers, exitance, ..Solution::default() }
+    let exitance = (0..front.len() * columns)
+        .map(|i| exitance(i / columns, i % columns))
+        .collect();
+    Solution {
+        layers,
+        exitance,
+        ..Solution::default()
+    }
 }

@@ -246,10 +246,10 @@ impl Base {
         }
         for sampler in samplers(&mut self.json) {
             for key in ["input", "output"] {
-                if let Some(v) = sampler.get_mut(key) {
-                    if let Some(k) = as_whole(v) {
-                        *v = json!(new_accessor.get(k).copied().flatten().unwrap_or(0));
-                    }
+                if let Some(v) = sampler.get_mut(key)
+                    && let Some(k) = as_whole(v)
+                {
+                    *v = json!(new_accessor.get(k).copied().flatten().unwrap_or(0));
                 }
             }
         }
@@ -497,10 +497,10 @@ impl Base {
             }
         }
         for scene in list_mut(root, "scenes") {
-            if scene["nodes"].as_array().is_some_and(Vec::is_empty) {
-                if let Some(scene) = scene.as_object_mut() {
-                    scene.shift_remove("nodes");
-                }
+            if scene["nodes"].as_array().is_some_and(Vec::is_empty)
+                && let Some(scene) = scene.as_object_mut()
+            {
+                scene.shift_remove("nodes");
             }
         }
         root.insert(

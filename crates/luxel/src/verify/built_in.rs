@@ -21,7 +21,9 @@ pub(super) fn run(print: &mut dyn FnMut(&str)) -> Count {
     let mut check = |name: &str, expected: f64, got: f64, tolerance: f64| {
         let passed = (got - expected).abs() <= tolerance;
         let verdict = if passed { "pass" } else { "FAIL" };
-        print(&format!("{name} expected {expected:.7} got {got:.7} (within {tolerance:.1e}) {verdict}"));
+        print(&format!(
+            "{name} expected {expected:.7} got {got:.7} (within {tolerance:.1e}) {verdict}"
+        ));
         count.passed += passed as usize;
         count.failed += !passed as usize;
     };
@@ -74,7 +76,8 @@ fn kernels(check: &mut Check<'_>) {
         1e-9,
     );
     // C-1 corner formula at a = b = c.
-    let corner = 2.0 * (1.0 / 2f64.sqrt()) * (1.0 / 2f64.sqrt()).atan() / (2.0 * std::f64::consts::PI);
+    let corner =
+        2.0 * (1.0 / 2f64.sqrt()) * (1.0 / 2f64.sqrt()).atan() / (2.0 * std::f64::consts::PI);
     check(
         "factor: point under the corner of a square",
         corner,
@@ -92,16 +95,37 @@ fn shelf(check: &mut Check<'_>) {
     let ba = 0.5 * (1.0 + 1.0 / g - (1.0 + 1.0 / (g * g)).sqrt());
     let factors = [vec![0.0, ab, ac], vec![ba, 0.0, ba], vec![ac, ab, 0.0]];
     let cases = [
-        ([0.0, 0.5, 1.0 / 3.0], [1.0, 0.0, 0.0], [1.0, 0.1166030, 0.1035430]),
-        ([0.1, 0.5, 1.0 / 3.0], [1.0, 0.0, 0.0], [1.0070923, 0.1174300, 0.1042773]),
-        ([0.5, 0.0, 0.5], [0.0, 1.0, 0.0], [0.2113249, 1.0, 0.2113249]),
-        ([0.1, 0.1, 0.5], [1.0, 1.0, 0.0], [1.0464691, 1.0290572, 0.3285308]),
+        (
+            [0.0, 0.5, 1.0 / 3.0],
+            [1.0, 0.0, 0.0],
+            [1.0, 0.1166030, 0.1035430],
+        ),
+        (
+            [0.1, 0.5, 1.0 / 3.0],
+            [1.0, 0.0, 0.0],
+            [1.0070923, 0.1174300, 0.1042773],
+        ),
+        (
+            [0.5, 0.0, 0.5],
+            [0.0, 1.0, 0.0],
+            [0.2113249, 1.0, 0.2113249],
+        ),
+        (
+            [0.1, 0.1, 0.5],
+            [1.0, 1.0, 0.0],
+            [1.0464691, 1.0290572, 0.3285308],
+        ),
     ];
     for (k, (rho, emission, expected)) in cases.into_iter().enumerate() {
         let b = System::new(&factors, &[1.0, g, 1.0], &rho, &emission).exitance();
         for (name, (e, got)) in ["A", "B", "C"].iter().zip(expected.iter().zip(b)) {
             // Seven printed digits.
-            check(&format!("shelf {}: exitance of {name}", k + 1), *e, got, 6e-8);
+            check(
+                &format!("shelf {}: exitance of {name}", k + 1),
+                *e,
+                got,
+                6e-8,
+            );
         }
     }
 }
@@ -147,7 +171,11 @@ fn lamps(check: &mut Check<'_>) {
     if let Err(e) = luxel_io::scene_ops::add_lamp(&mut scene, &lamp) {
         return check(&format!("lamp in a cube: {e}"), expected, f64::NAN, 0.0);
     }
-    let settings = Settings { error: 0.005, elements: Some(3000), ..Settings::default() };
+    let settings = Settings {
+        error: 0.005,
+        elements: Some(3000),
+        ..Settings::default()
+    };
     let Ok(mut session) = Session::new(scene, &settings) else {
         return check("lamp in a cube: mean illuminance", expected, f64::NAN, 0.0);
     };
@@ -157,17 +185,41 @@ fn lamps(check: &mut Check<'_>) {
     let flux: f64 = (0..front.len())
         .map(|e| front.area[e] as f64 * solution.total(e).luminance() as f64 / 0.5)
         .sum();
-    check("lamp in a cube: mean illuminance", expected, flux / front.total_area(), 0.005 * expected);
+    check(
+        "lamp in a cube: mean illuminance",
+        expected,
+        flux / front.total_area(),
+        0.005 * expected,
+    );
 
-    let below = Receiver { position: centre + Vec3::NEG_Y * 1.0, normal: Vec3::Y };
+    let below = Receiver {
+        position: centre + Vec3::NEG_Y * 1.0,
+        normal: Vec3::Y,
+    };
     let mut dark = solution.clone();
     dark.exitance.fill(0.0);
-    let accuracy = Accuracy { relative: 1e-3, floor_lux: 0.0, rays: [64, 64], seed: 1 };
+    let accuracy = Accuracy {
+        relative: 1e-3,
+        floor_lux: 0.0,
+        rays: [64, 64],
+        seed: 1,
+    };
     let direct = session.irradiance_at(&dark, &[below], &accuracy);
     let candela = Lumens::new(10_000.0).isotropic_intensity().candela() as f64;
     let got = luxel_core::layers::luminance(&direct.values) as f64;
     // One metre under the lamp lux and candela are the same number; f32.
-    check("lamp in a cube: direct light one metre below", candela, got, 1e-5 * candela);
-    let exitance = luxel_core::quantity::Luminance::new(luxel_core::Rgb::WHITE).lambertian_exitance();
-    check("exitance of 1 cd/m2", LAMBERTIAN as f64, exitance.value() as f64, 1e-6);
+    check(
+        "lamp in a cube: direct light one metre below",
+        candela,
+        got,
+        1e-5 * candela,
+    );
+    let exitance =
+        luxel_core::quantity::Luminance::new(luxel_core::Rgb::WHITE).lambertian_exitance();
+    check(
+        "exitance of 1 cd/m2",
+        LAMBERTIAN as f64,
+        exitance.value() as f64,
+        1e-6,
+    );
 }

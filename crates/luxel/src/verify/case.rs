@@ -145,7 +145,9 @@ impl Query {
 /// Three numbers.
 pub(crate) fn triple(value: &Value) -> Option<[f64; 3]> {
     let list = value.as_array()?;
-    let [x, y, z] = list.as_slice() else { return None };
+    let [x, y, z] = list.as_slice() else {
+        return None;
+    };
     Some([x.as_f64()?, y.as_f64()?, z.as_f64()?])
 }
 
@@ -191,6 +193,23 @@ impl Scene {
 }
 
 impl Case {
+    /// A case whose scene is written in a way that is not read: skipped by name, query by query.
+    fn unread(index: usize, value: &Value, why: &str) -> Case {
+        let text = |key: &str| value.get(key).and_then(Value::as_str).map(str::to_owned);
+        let queries = value
+            .get("queries")
+            .and_then(Value::as_array)
+            .map_or(&[][..], Vec::as_slice);
+        Case {
+            kind: format!("{} ({why})", text("kind").unwrap_or_default()),
+            queries: queries
+                .iter()
+                .filter_map(|q| Query::deserialize(q).ok())
+                .collect(),
+            ..Case::bare(&text("id").unwrap_or_else(|| format!("case {index}")))
+        }
+    }
+
     /// A case with nothing in it.
     pub fn bare(id: &str) -> Case {
         Case {
@@ -207,13 +226,22 @@ impl Case {
     pub fn tolerance_class(&self, class: &'static str) -> Option<(&str, Tolerance)> {
         let others: &[&str] = match class {
             "analytic" => &["patchwise", "mesh", "meshed", "montecarlo"],
-            "montecarlo" => &["mesh", "meshed", "quadrature", "hemicube", "tessellated", "analytic"],
+            "montecarlo" => &[
+                "mesh",
+                "meshed",
+                "quadrature",
+                "hemicube",
+                "tessellated",
+                "analytic",
+            ],
             "tessellated" => &["montecarlo", "mesh", "meshed", "analytic"],
             "mesh" => &["meshed", "montecarlo", "analytic"],
             _ => &[],
         };
         std::iter::once(&class).chain(others).find_map(|name| {
-            self.tolerance.get_key_value(*name).map(|(known, t)| (known.as_str(), *t))
+            self.tolerance
+                .get_key_value(*name)
+                .map(|(known, t)| (known.as_str(), *t))
         })
     }
 }
@@ -221,15 +249,28 @@ impl Case {
 /// Reads a file. A file of another format has no cases.
 pub(crate) fn read(path: &Path) -> Result<CaseFile, Error> {
     let place = path.display();
-    let text = std::fs::read_to_string(path).map_err(|e| Error::Setting(format!("{place}: {e}")))?;
+    let text =
+        std::fs::read_to_string(path).map_err(|e| Error::Setting(format!("{place}: {e}")))?;
     let value: Value =
         serde_json::from_str(&text).map_err(|e| Error::Setting(format!("{place}: {e}")))?;
-    let file = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+    let file = path
+        .file_stem()
+        .map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     if value.get("format").and_then(Value::as_str) != Some("refcase-1") {
-        return Ok(CaseFile { file, cases: Vec::new() });
+        return Ok(CaseFile {
+            file,
+            cases: Vec::new(),
+        });
     }
-    let cases = value.get("cases").cloned().unwrap_or(Value::Array(Vec::new()));
-    let cases = serde_json::from_value(cases)
-        .map_err(|e| Error::Setting(format!("{place}: expected cases of format refcase-1, {e}")))?;
-    Ok(CaseFile { file, cases })
+    let list = value
+        .get("cases")
+        .and_then(Value::as_array)
+        .map_or(&[][..], Vec::as_slice);
+    let cases = list.iter().enumerate().map(|(index, case)| {
+        Case::deserialize(case).unwrap_or_else(|e| Case::unread(index, case, &e.to_string()))
+    });
+    Ok(CaseFile {
+        file,
+        cases: cases.collect(),
+    })
 }

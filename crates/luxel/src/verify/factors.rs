@@ -18,18 +18,25 @@ pub(super) fn answer(case: &Case) -> Vec<Found> {
 }
 
 fn one(case: &Case, query: &Query) -> Found {
-    let to = case.scene.surface(query.text("to").ok_or("the query names no surface 'to'")?)?;
+    let to = case
+        .scene
+        .surface(query.text("to").ok_or("the query names no surface 'to'")?)?;
     let value = match query.quantity.as_str() {
         "configuration_factor" if case.scene.surfaces.len() > 1 => {
             return super::rooms::configuration_factor(case, query, &to.id);
         }
         "configuration_factor" => {
             let point = query.point("point").ok_or("the query has no point")?.into();
-            let normal = query.point("normal").ok_or("the query has no normal")?.into();
+            let normal = query
+                .point("normal")
+                .ok_or("the query has no normal")?
+                .into();
             configuration_factor(point, normal, to)?
         }
         "form_factor" => {
-            let from = query.text("from").ok_or("the query names no surface 'from'")?;
+            let from = query
+                .text("from")
+                .ok_or("the query names no surface 'from'")?;
             form_factor(case, case.scene.surface(from)?, to)?
         }
         other => return Err(format!("quantity '{other}' is not computed yet")),
@@ -38,7 +45,9 @@ fn one(case: &Case, query: &Query) -> Found {
 }
 
 pub(super) fn polygon(surface: &Surface) -> Result<Polygon, String> {
-    Ok(Polygon::new(surface.vertices()?.into_iter().map(DVec3::from).collect()))
+    Ok(Polygon::new(
+        surface.vertices()?.into_iter().map(DVec3::from).collect(),
+    ))
 }
 
 fn configuration_factor(point: DVec3, normal: DVec3, to: &Surface) -> Result<f64, String> {
@@ -46,10 +55,23 @@ fn configuration_factor(point: DVec3, normal: DVec3, to: &Surface) -> Result<f64
         "polygon" => Ok(point_to_polygon(point, normal, &polygon(to)?)),
         "disc" => {
             let (centre, facing) = (to.point("center")?.into(), to.point("normal")?.into());
-            Ok(point_to_disc(point, normal, centre, facing, to.number("radius")?))
+            Ok(point_to_disc(
+                point,
+                normal,
+                centre,
+                facing,
+                to.number("radius")?,
+            ))
         }
-        "sphere" => Ok(point_to_sphere(point, normal, to.point("center")?.into(), to.number("radius")?)),
-        other => Err(format!("the factor from a point to a '{other}' is not computed yet")),
+        "sphere" => Ok(point_to_sphere(
+            point,
+            normal,
+            to.point("center")?.into(),
+            to.number("radius")?,
+        )),
+        other => Err(format!(
+            "the factor from a point to a '{other}' is not computed yet"
+        )),
     }
 }
 
@@ -57,13 +79,19 @@ fn form_factor(case: &Case, from: &Surface, to: &Surface) -> Result<f64, String>
     match (from.shape.as_str(), to.shape.as_str()) {
         ("polygon", "polygon") => {
             let (a, b) = (polygon(from)?, polygon(to)?);
-            let between: Vec<&Surface> =
-                case.scene.surfaces.iter().filter(|s| s.id != from.id && s.id != to.id).collect();
+            let between: Vec<&Surface> = case
+                .scene
+                .surfaces
+                .iter()
+                .filter(|s| s.id != from.id && s.id != to.id)
+                .collect();
             if between.iter().any(|s| s.shape != "polygon") {
                 return Err("curved surfaces between polygons are not computed yet".into());
             }
-            let occluders: Vec<Polygon> =
-                between.into_iter().map(polygon).collect::<Result<_, String>>()?;
+            let occluders: Vec<Polygon> = between
+                .into_iter()
+                .map(polygon)
+                .collect::<Result<_, String>>()?;
             if occluders.is_empty() || from.id == to.id {
                 Ok(polygon_to_polygon(&a, &b))
             } else {
@@ -71,17 +99,32 @@ fn form_factor(case: &Case, from: &Surface, to: &Surface) -> Result<f64, String>
             }
         }
         ("disc", "disc") => {
-            let (p, n) = (DVec3::from(from.point("center")?), DVec3::from(from.point("normal")?).normalize());
-            let (q, m) = (DVec3::from(to.point("center")?), DVec3::from(to.point("normal")?).normalize());
+            let (p, n) = (
+                DVec3::from(from.point("center")?),
+                DVec3::from(from.point("normal")?).normalize(),
+            );
+            let (q, m) = (
+                DVec3::from(to.point("center")?),
+                DVec3::from(to.point("normal")?).normalize(),
+            );
             let between = q - p;
-            let coaxial = between.cross(n).length() < 1e-9 * between.length() && n.dot(m) < -1.0 + 1e-9;
+            let coaxial =
+                between.cross(n).length() < 1e-9 * between.length() && n.dot(m) < -1.0 + 1e-9;
             if !coaxial || between.dot(n) <= 0.0 {
                 return Err("discs that are not coaxial and facing are not computed yet".into());
             }
-            Ok(closed::coaxial_discs(from.number("radius")?, to.number("radius")?, between.length()))
+            Ok(closed::coaxial_discs(
+                from.number("radius")?,
+                to.number("radius")?,
+                between.length(),
+            ))
         }
         ("disc", "cylinder") | ("cylinder", "disc") => {
-            let (cylinder, disc) = if from.shape == "cylinder" { (from, to) } else { (to, from) };
+            let (cylinder, disc) = if from.shape == "cylinder" {
+                (from, to)
+            } else {
+                (to, from)
+            };
             let radius = cylinder.number("radius")?;
             let length = DVec3::from(cylinder.point("axis")?).length();
             if disc.number("radius")? != radius || !is_inside(cylinder) {
@@ -96,44 +139,78 @@ fn form_factor(case: &Case, from: &Surface, to: &Surface) -> Result<f64, String>
         ("cylinder", "cylinder") => {
             let length = DVec3::from(from.point("axis")?).length();
             let (a, b) = (from.number("radius")?, to.number("radius")?);
-            let inner = case.scene.surfaces.iter().find(|s| s.shape == "cylinder" && !is_inside(s));
+            let inner = case
+                .scene
+                .surfaces
+                .iter()
+                .find(|s| s.shape == "cylinder" && !is_inside(s));
             match (is_inside(from), is_inside(to), inner) {
                 (true, true, None) => Ok(closed::cylinder_side_to_side(a, length)),
-                (true, true, Some(i)) => Ok(closed::outer_to_outer_cylinder(i.number("radius")?, a, length)),
+                (true, true, Some(i)) => Ok(closed::outer_to_outer_cylinder(
+                    i.number("radius")?,
+                    a,
+                    length,
+                )),
                 (true, false, _) => Ok(closed::outer_to_inner_cylinder(b, a, length)),
                 (false, true, _) => Ok(closed::inner_to_outer_cylinder(a, b, length)),
                 (false, false, _) => Err("cylinders side by side are not computed yet".into()),
             }
         }
         ("sphere", "disc") => {
-            let (p, q) = (DVec3::from(from.point("center")?), DVec3::from(to.point("center")?));
+            let (p, q) = (
+                DVec3::from(from.point("center")?),
+                DVec3::from(to.point("center")?),
+            );
             let n = DVec3::from(to.point("normal")?).normalize();
             if (q - p).cross(n).length() > 1e-9 * (q - p).length() {
                 return Err("a disc off the sphere's axis is not computed yet".into());
             }
-            Ok(closed::sphere_to_disc(to.number("radius")?, (q - p).length()))
+            Ok(closed::sphere_to_disc(
+                to.number("radius")?,
+                (q - p).length(),
+            ))
         }
-        ("sphere", "polygon") => Ok(closed::sphere_to_polygon(from.point("center")?.into(), &polygon(to)?)),
+        ("sphere", "polygon") => Ok(closed::sphere_to_polygon(
+            from.point("center")?.into(),
+            &polygon(to)?,
+        )),
         ("infinite_strip", "infinite_strip") => {
             Ok(strings::strip_to_strip(&strip(from)?, &strip(to)?))
         }
         ("infinite_strip", "infinite_cylinder") => {
             let centre = to.pair("center")?.into();
-            Ok(strings::strip_to_cylinder(&strip(from)?, centre, to.number("radius")?))
+            Ok(strings::strip_to_cylinder(
+                &strip(from)?,
+                centre,
+                to.number("radius")?,
+            ))
         }
         ("infinite_cylinder", "infinite_cylinder") => {
             let [a, b] = [from.pair("center")?, to.pair("center")?];
             let apart = (a[0] - b[0]).hypot(a[1] - b[1]);
-            Ok(strings::cylinder_to_cylinder(from.number("radius")?, to.number("radius")?, apart))
+            Ok(strings::cylinder_to_cylinder(
+                from.number("radius")?,
+                to.number("radius")?,
+                apart,
+            ))
         }
-        (a, b) => Err(format!("the factor from a '{a}' to a '{b}' is not computed yet")),
+        (a, b) => Err(format!(
+            "the factor from a '{a}' to a '{b}' is not computed yet"
+        )),
     }
 }
 
 pub(super) fn strip(surface: &Surface) -> Result<Strip, String> {
-    Ok(Strip::new(surface.pair("p0")?.into(), surface.pair("p1")?.into()))
+    Ok(Strip::new(
+        surface.pair("p0")?.into(),
+        surface.pair("p1")?.into(),
+    ))
 }
 
 fn is_inside(surface: &Surface) -> bool {
-    surface.geometry.get("side").and_then(serde_json::Value::as_str) == Some("in")
+    surface
+        .geometry
+        .get("side")
+        .and_then(serde_json::Value::as_str)
+        == Some("in")
 }

@@ -28,7 +28,10 @@ pub(crate) struct Answer {
 impl Answer {
     /// One number.
     pub fn one(value: f64, class: &'static str) -> Answer {
-        Answer { values: vec![value], class }
+        Answer {
+            values: vec![value],
+            class,
+        }
     }
 }
 
@@ -51,7 +54,10 @@ impl Count {
     }
 
     fn words(&self) -> String {
-        format!("{} passed, {} failed, {} skipped", self.passed, self.failed, self.skipped)
+        format!(
+            "{} passed, {} failed, {} skipped",
+            self.passed, self.failed, self.skipped
+        )
     }
 }
 
@@ -88,7 +94,9 @@ fn files(folder: &Path) -> Result<Vec<std::path::PathBuf>, Error> {
     files.sort();
     if files.is_empty() {
         let folder = folder.display();
-        return Err(Error::Setting(format!("{folder}: expected reference cases (*.json), found none")));
+        return Err(Error::Setting(format!(
+            "{folder}: expected reference cases (*.json), found none"
+        )));
     }
     Ok(files)
 }
@@ -96,7 +104,10 @@ fn files(folder: &Path) -> Result<Vec<std::path::PathBuf>, Error> {
 fn run_file(set: &CaseFile, print: &mut dyn FnMut(&str)) -> Count {
     let mut count = Count::default();
     if set.cases.is_empty() {
-        print(&format!("{}: skipped: no cases of format refcase-1", set.file));
+        print(&format!(
+            "{}: skipped: no cases of format refcase-1",
+            set.file
+        ));
     }
     for case in &set.cases {
         let answers = answer(case);
@@ -129,14 +140,23 @@ fn judge(case: &Case, query: &Query, found: Found, print: &mut dyn FnMut(&str)) 
         Ok(answer) => answer,
         Err(missing) => {
             print(&format!("{name} skipped: {missing}"));
-            return Count { skipped: 1, ..Count::default() };
+            return Count {
+                skipped: 1,
+                ..Count::default()
+            };
         }
     };
     let expected = query.expected_numbers();
     let class = case.tolerance_class(answer.class);
     let Some((class, tolerance)) = class else {
-        print(&format!("{name} skipped: no tolerance for {} methods", answer.class));
-        return Count { skipped: 1, ..Count::default() };
+        print(&format!(
+            "{name} skipped: no tolerance for {} methods",
+            answer.class
+        ));
+        return Count {
+            skipped: 1,
+            ..Count::default()
+        };
     };
     let unc = query.uncertainty();
     let within = |rel: f64, abs: f64| {
@@ -159,6 +179,13 @@ fn judge(case: &Case, query: &Query, found: Found, print: &mut dyn FnMut(&str)) 
         format!("{:+.2e}", worst.1 - worst.0)
     };
     let verdict = if passed { "pass" } else { "FAIL" };
-    print(&format!("{name} expected {:.9} got {:.9} ({off}, {class}) {verdict}", worst.0, worst.1));
-    Count { passed: passed as usize, failed: !passed as usize, skipped: 0 }
+    print(&format!(
+        "{name} expected {:.9} got {:.9} ({off}, {class}) {verdict}",
+        worst.0, worst.1
+    ));
+    Count {
+        passed: passed as usize,
+        failed: !passed as usize,
+        skipped: 0,
+    }
 }

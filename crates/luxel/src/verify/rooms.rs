@@ -23,8 +23,9 @@ const PRISM_RADIUS_M: f64 = 5e-4;
 const MEAN_RECEIVERS: u32 = 2048;
 /// Receivers on each surface where "everywhere" is asked; the worst counts.
 const EVERYWHERE_RECEIVERS: u32 = 64;
-/// Elements aimed at: rooms of one box need no more for 0.1 %.
+/// Elements aimed at: rooms of one box need no more for 0.1 %; facets are not to be clustered.
 const ELEMENTS: usize = 6_000;
+const FACET_ELEMENTS: usize = 60_000;
 
 /// A triangle with its corners, f64.
 type Triangle = [[f64; 3]; 3];
@@ -64,7 +65,12 @@ pub(super) fn answer(case: &Case) -> Vec<Found> {
 /// What is said of a scene and not understood may change its meaning.
 fn check_scene(case: &Case) -> Result<(), String> {
     let known = ["closed", "units", "channels"];
-    match case.scene.other.keys().find(|k| !known.contains(&k.as_str())) {
+    match case
+        .scene
+        .other
+        .keys()
+        .find(|k| !known.contains(&k.as_str()))
+    {
         Some(key) => Err(format!("scenes with '{key}' are not computed yet")),
         None => Ok(()),
     }
@@ -91,11 +97,25 @@ fn build(case: &Case) -> Result<Built, String> {
     for light in &case.scene.lights {
         add_light(&mut scene, light)?;
     }
-    let settings = Settings { error: 0.003, elements: Some(ELEMENTS), ..Settings::default() };
+    let elements = Some(if class == "tessellated" {
+        FACET_ELEMENTS
+    } else {
+        ELEMENTS
+    });
+    let settings = Settings {
+        error: 0.003,
+        elements,
+        ..Settings::default()
+    };
     let mut session = Session::new(scene, &settings).map_err(|e| e.to_string())?;
     session.by_ref().for_each(drop);
     let solution = session.solution();
-    Ok(Built { session, solution, triangles, class })
+    Ok(Built {
+        session,
+        solution,
+        triangles,
+        class,
+    })
 }
 
 fn add_surface(scene: &mut Scene, surface: &Surface, triangles: &[Triangle]) {
@@ -107,7 +127,11 @@ fn add_surface(scene: &mut Scene, surface: &Surface, triangles: &[Triangle]) {
     scene.finishes.push(Finish {
         name: surface.id.clone(),
         reflectance: reflectance.into(),
-        emission: shines.then_some(Emission { luminance, texture: None, group: GroupId(0) }),
+        emission: shines.then_some(Emission {
+            luminance,
+            texture: None,
+            group: GroupId(0),
+        }),
         back_reflects: surface.two_sided,
         back_emits: surface.two_sided,
         ..Finish::default()
@@ -140,10 +164,16 @@ fn add_surface(scene: &mut Scene, surface: &Surface, triangles: &[Triangle]) {
 
 fn add_light(scene: &mut Scene, light: &Value) -> Result<(), String> {
     let point = |key: &str| {
-        light.get(key).and_then(triple).ok_or_else(|| format!("the light has no '{key}'"))
+        light
+            .get(key)
+            .and_then(triple)
+            .ok_or_else(|| format!("the light has no '{key}'"))
     };
     let number = |key: &str| {
-        light.get(key).and_then(Value::as_f64).ok_or_else(|| format!("the light has no '{key}'"))
+        light
+            .get(key)
+            .and_then(Value::as_f64)
+            .ok_or_else(|| format!("the light has no '{key}'"))
     };
     let place = |p: [f64; 3]| Vec3::from(p.map(|x| x as f32));
     let kind = light.get("type").and_then(Value::as_str).unwrap_or("none");
@@ -151,14 +181,26 @@ fn add_light(scene: &mut Scene, light: &Value) -> Result<(), String> {
         "point_isotropic" | "point_lambertian" => {
             let intensity = Rgb::splat(number("intensity_cd")? as f32);
             let (kind, direction) = if kind == "point_isotropic" {
-                (LuminaireKind::Point { intensity, range_m: f32::INFINITY }, Vec3::NEG_Z)
+                (
+                    LuminaireKind::Point {
+                        intensity,
+                        range_m: f32::INFINITY,
+                    },
+                    Vec3::NEG_Z,
+                )
             } else {
                 let axis = place(point("axis")?).normalize_or(Vec3::NEG_Z);
                 (LuminaireKind::Lambertian { intensity }, axis)
             };
             let position = place(point("position")?);
             let name = "lamp".into();
-            scene.luminaires.push(Luminaire { name, position, direction, kind, group: GroupId(0) });
+            scene.luminaires.push(Luminaire {
+                name,
+                position,
+                direction,
+                kind,
+                group: GroupId(0),
+            });
             Ok(())
         }
         "line_lambertian" => {
@@ -186,7 +228,14 @@ fn add_light(scene: &mut Scene, light: &Value) -> Result<(), String> {
 fn prism(p0: [f64; 3], p1: [f64; 3]) -> Vec<Triangle> {
     let axis = sub(p1, p0);
     let n = unit(axis);
-    let side = unit(cross(n, if n[0].abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] }));
+    let side = unit(cross(
+        n,
+        if n[0].abs() < 0.9 {
+            [1.0, 0.0, 0.0]
+        } else {
+            [0.0, 1.0, 0.0]
+        },
+    ));
     let other = cross(n, side);
     // Mean width of a convex outline is its perimeter / pi; the cylinder's is its diameter.
     let half = std::f64::consts::PI / PRISM as f64;
@@ -207,7 +256,9 @@ fn tessellate(surface: &Surface) -> Result<Vec<Triangle>, String> {
     match surface.shape.as_str() {
         "polygon" => {
             let v = surface.vertices()?;
-            Ok((1..v.len().saturating_sub(1)).map(|i| [v[0], v[i], v[i + 1]]).collect())
+            Ok((1..v.len().saturating_sub(1))
+                .map(|i| [v[0], v[i], v[i + 1]])
+                .collect())
         }
         "disc" => {
             let (centre, n) = (surface.point("center")?, unit(surface.point("normal")?));
@@ -238,7 +289,11 @@ fn tessellate(surface: &Surface) -> Result<Vec<Triangle>, String> {
                 let theta = top + (bottom - top) * j as f64 / rings as f64;
                 let (s, c) = (TAU * (k % AROUND) as f64 / AROUND as f64).sin_cos();
                 let r = radius * theta.sin();
-                [centre[0] + r * c, centre[1] + r * s, centre[2] + radius * theta.cos()]
+                [
+                    centre[0] + r * c,
+                    centre[1] + r * s,
+                    centre[2] + radius * theta.cos(),
+                ]
             };
             let mut list = Vec::new();
             for j in 0..rings {
@@ -254,12 +309,17 @@ fn tessellate(surface: &Surface) -> Result<Vec<Triangle>, String> {
             }
             Ok(list)
         }
-        other => Err(format!("surfaces of shape '{other}' are not tessellated yet")),
+        other => Err(format!(
+            "surfaces of shape '{other}' are not tessellated yet"
+        )),
     }
 }
 
 fn one(case: &Case, built: &Built, query: &Query) -> Found {
-    let channel = query.number("channel").map(|c| c as usize).filter(|c| *c < 3);
+    let channel = query
+        .number("channel")
+        .map(|c| c as usize)
+        .filter(|c| *c < 3);
     let found = |value: f64| Ok(Answer::one(value, built.class));
     let surface = || -> Result<usize, String> {
         let name = query.text("surface").ok_or("the query names no surface")?;
@@ -285,13 +345,20 @@ fn one(case: &Case, built: &Built, query: &Query) -> Found {
             found(exitance(index, built.mean(index, channel)))
         }
         quantity @ ("radiosity_everywhere" | "irradiance_everywhere") => {
-            let expected = query.expected.as_f64().ok_or("the query expects no number")?;
+            let expected = query
+                .expected
+                .as_f64()
+                .ok_or("the query expects no number")?;
             let mut worst = expected;
             for index in 0..case.scene.surfaces.len() {
                 let receivers = built.spread(index, EVERYWHERE_RECEIVERS);
                 for e in built.ask(&receivers, 1e-3, 1 << 14) {
                     let e = e.band(channel);
-                    let value = if quantity == "radiosity_everywhere" { exitance(index, e) } else { e };
+                    let value = if quantity == "radiosity_everywhere" {
+                        exitance(index, e)
+                    } else {
+                        e
+                    };
                     if (value - expected).abs() > (worst - expected).abs() {
                         worst = value;
                     }
@@ -318,9 +385,20 @@ impl Light {
 
 impl Built {
     fn ask(&self, receivers: &[Receiver], relative: f32, rays: u32) -> Vec<Light> {
-        let accuracy = Accuracy { relative, floor_lux: 0.0, rays: [64, rays], seed: 1 };
-        let answer = self.session.irradiance_at(&self.solution, receivers, &accuracy);
-        answer.values.chunks_exact(answer.columns).map(|row| Light(luxel_core::layers::total(row))).collect()
+        let accuracy = Accuracy {
+            relative,
+            floor_lux: 0.0,
+            rays: [64, rays],
+            seed: 1,
+        };
+        let answer = self
+            .session
+            .irradiance_at(&self.solution, receivers, &accuracy);
+        answer
+            .values
+            .chunks_exact(answer.columns)
+            .map(|row| Light(luxel_core::layers::total(row)))
+            .collect()
     }
 
     fn mean(&self, surface: usize, channel: Option<usize>) -> f64 {
@@ -342,9 +420,17 @@ impl Built {
         (0..count)
             .map(|k| {
                 let [u, v, w, _] = sequence.point4(k).map(f64::from);
-                let t = &triangles[running.partition_point(|r| *r <= w * sum).min(triangles.len() - 1)];
-                let (a, b) = if v > u { (0.5 * u, v - 0.5 * u) } else { (u - 0.5 * v, 0.5 * v) };
-                let p = std::array::from_fn(|i| t[0][i] + a * (t[1][i] - t[0][i]) + b * (t[2][i] - t[0][i]));
+                let t = &triangles[running
+                    .partition_point(|r| *r <= w * sum)
+                    .min(triangles.len() - 1)];
+                let (a, b) = if v > u {
+                    (0.5 * u, v - 0.5 * u)
+                } else {
+                    (u - 0.5 * v, 0.5 * v)
+                };
+                let p = std::array::from_fn(|i| {
+                    t[0][i] + a * (t[1][i] - t[0][i]) + b * (t[2][i] - t[0][i])
+                });
                 receiver(p, cross(sub(t[1], t[0]), sub(t[2], t[0])))
             })
             .collect()
@@ -354,11 +440,23 @@ impl Built {
 /// Where along x, on the plane and row of the case's other points, the light begins to be cut
 /// off (`penumbra...`) or is gone (`umbra...`): bisection on what a receiver sees.
 fn shadow_boundary(case: &Case, built: &Built, query: &Query) -> Found {
-    let expected = query.expected.as_f64().ok_or("the query expects no number")?;
-    let row = case.queries.iter().find_map(|q| q.point("point")).ok_or("the case has no point")?;
+    let expected = query
+        .expected
+        .as_f64()
+        .ok_or("the query expects no number")?;
+    let row = case
+        .queries
+        .iter()
+        .find_map(|q| q.point("point"))
+        .ok_or("the case has no point")?;
     let mut free = Case::bare(&case.id);
-    free.scene.surfaces =
-        case.scene.surfaces.iter().filter(|s| s.exitance.rgb()[0] > 0.0).cloned().collect();
+    free.scene.surfaces = case
+        .scene
+        .surfaces
+        .iter()
+        .filter(|s| s.exitance.rgb()[0] > 0.0)
+        .cloned()
+        .collect();
     let free = build(&free)?;
     let share = |x: f64| -> f64 {
         let at = [receiver([x, row[1], row[2]], [0.0, 0.0, 1.0])];
@@ -366,7 +464,13 @@ fn shadow_boundary(case: &Case, built: &Built, query: &Query) -> Found {
         seen(built) / seen(&free).max(f64::MIN_POSITIVE)
     };
     let umbra = query.id.starts_with("umbra");
-    let cut = |x: f64| if umbra { share(x) <= 1e-6 } else { share(x) < 1.0 - 1e-4 };
+    let cut = |x: f64| {
+        if umbra {
+            share(x) <= 1e-6
+        } else {
+            share(x) < 1.0 - 1e-4
+        }
+    };
     // A boundary is where the answer changes within half a metre of where it should be.
     let (mut a, mut b) = (expected - 0.45, expected + 0.45);
     let (at_a, at_b) = (cut(a), cut(b));
@@ -375,7 +479,11 @@ fn shadow_boundary(case: &Case, built: &Built, query: &Query) -> Found {
     }
     for _ in 0..16 {
         let middle = 0.5 * (a + b);
-        if cut(middle) == at_a { a = middle } else { b = middle }
+        if cut(middle) == at_a {
+            a = middle
+        } else {
+            b = middle
+        }
     }
     Ok(Answer::one(0.5 * (a + b), built.class))
 }
@@ -392,12 +500,20 @@ fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 }
 
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 fn unit(v: [f64; 3]) -> [f64; 3] {
     let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    if length > 0.0 { v.map(|x| x / length) } else { v }
+    if length > 0.0 {
+        v.map(|x| x / length)
+    } else {
+        v
+    }
 }
 
 fn area(t: &Triangle) -> f64 {

@@ -24,14 +24,21 @@ pub(super) struct System {
 }
 
 impl System {
-    pub fn new(factors: &[Vec<f64>], area: &[f64], reflectance: &[f64], emission: &[f64]) -> System {
+    pub fn new(
+        factors: &[Vec<f64>],
+        area: &[f64],
+        reflectance: &[f64],
+        emission: &[f64],
+    ) -> System {
         let grey = |v: &[f64]| v.iter().flat_map(|x| [*x; BANDS]).collect();
         System {
             area: area.to_vec(),
             reflectance: grey(reflectance),
             emission: grey(emission),
             matrix: Matrix::from_dense(factors, area),
-            layers: Layers { groups: vec!["all".into()] },
+            layers: Layers {
+                groups: vec!["all".into()],
+            },
         }
     }
 
@@ -62,7 +69,10 @@ impl System {
             let before = solver.exitance().to_vec();
             solver.step(&problem);
             let most = solver.exitance().iter().fold(0.0f64, |m, v| m.max(v.abs()));
-            let step = before.iter().zip(solver.exitance()).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+            let step = before
+                .iter()
+                .zip(solver.exitance())
+                .fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
             if before.len() == solver.exitance().len() && step <= 1e-14 * most {
                 break;
             }
@@ -77,7 +87,10 @@ fn one_band(values: &[f64]) -> Vec<f64> {
 
 pub(super) fn answer(case: &Case) -> Vec<Found> {
     let answers = system(case).map(|system| {
-        case.queries.iter().map(|query| one(case, &system, query)).collect::<Vec<Found>>()
+        case.queries
+            .iter()
+            .map(|query| one(case, &system, query))
+            .collect::<Vec<Found>>()
     });
     answers.unwrap_or_else(|missing| case.queries.iter().map(|_| Err(missing.clone())).collect())
 }
@@ -85,17 +98,25 @@ pub(super) fn answer(case: &Case) -> Vec<Found> {
 /// The equation of a case. Reflectance and emission stand by themselves or with the surfaces.
 fn system(case: &Case) -> Result<System, String> {
     let scene = &case.scene;
-    let factors = scene.form_factors.as_ref().ok_or("the case gives no form factors")?;
+    let factors = scene
+        .form_factors
+        .as_ref()
+        .ok_or("the case gives no form factors")?;
     let areas = scene.areas.as_ref().ok_or("the case gives no areas")?;
-    let of_surfaces = |get: &dyn Fn(&super::case::Surface) -> f64| scene.surfaces.iter().map(get).collect();
-    let reflectance: Vec<f64> =
-        scene.reflectance.clone().unwrap_or_else(|| of_surfaces(&|s| s.reflectance.rgb()[0]));
+    let of_surfaces =
+        |get: &dyn Fn(&super::case::Surface) -> f64| scene.surfaces.iter().map(get).collect();
+    let reflectance: Vec<f64> = scene
+        .reflectance
+        .clone()
+        .unwrap_or_else(|| of_surfaces(&|s| s.reflectance.rgb()[0]));
     let emission: Vec<f64> = match (&scene.exitance, case.kind.as_str()) {
         (Some(given), _) => given.clone(),
         // Lumen method: the ceiling sends one lumen down; the first surface is the ceiling.
-        (None, "utilisation_factor") => {
-            areas.iter().enumerate().map(|(k, a)| if k == 0 { 1.0 / a } else { 0.0 }).collect()
-        }
+        (None, "utilisation_factor") => areas
+            .iter()
+            .enumerate()
+            .map(|(k, a)| if k == 0 { 1.0 / a } else { 0.0 })
+            .collect(),
         (None, _) => of_surfaces(&|s| s.exitance.rgb()[0]),
     };
     let n = areas.len();
@@ -107,7 +128,12 @@ fn system(case: &Case) -> Result<System, String> {
 }
 
 fn one(case: &Case, system: &System, query: &Query) -> Found {
-    let exact = |values| Ok(Answer { values, class: "analytic" });
+    let exact = |values| {
+        Ok(Answer {
+            values,
+            class: "analytic",
+        })
+    };
     match (query.quantity.as_str(), query.id.as_str()) {
         ("radiosity_vector", _) => exact(system.exitance()),
         ("radiosity", _) => {
@@ -169,20 +195,32 @@ fn shots(system: &System, query: &Query) -> Vec<f64> {
         solver.step(&problem);
         let b = one_band(solver.exitance());
         let ambient = solver.ambient(&problem)[0];
-        if query.expected[row].get("shot").is_some_and(Value::is_number) {
+        if query.expected[row]
+            .get("shot")
+            .is_some_and(Value::is_number)
+        {
             out.push(solver.last_shot().index() as f64);
         }
         out.extend(&b);
         out.extend(one_band(solver.unshot()));
         out.push(ambient);
-        out.extend(b.iter().zip(system.reflectance.chunks_exact(BANDS)).map(|(b, rho)| b + rho[0] * ambient));
+        out.extend(
+            b.iter()
+                .zip(system.reflectance.chunks_exact(BANDS))
+                .map(|(b, rho)| b + rho[0] * ambient),
+        );
     }
     out
 }
 
 /// Shots until the unshot flux is at most this share of the emitted flux.
 fn shots_to(system: &System, share: f64) -> Result<u32, String> {
-    let flux = |v: &[f64]| v.chunks_exact(BANDS).zip(&system.area).map(|(u, a)| u[0] * a).sum::<f64>();
+    let flux = |v: &[f64]| {
+        v.chunks_exact(BANDS)
+            .zip(&system.area)
+            .map(|(u, a)| u[0] * a)
+            .sum::<f64>()
+    };
     let emitted = flux(&system.emission);
     let problem = system.problem();
     let mut solver = Southwell::new(SolverSettings::default());

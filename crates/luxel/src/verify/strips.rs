@@ -12,7 +12,7 @@ use glam::DVec2;
 use luxel_transport::strings::{Strip, strip_factors};
 
 /// Elements a strip.
-const ELEMENTS: usize = 400;
+const ELEMENTS: usize = 900;
 
 /// Share of the light leaving a point of a strip (with its unit normal) that reaches `b`: half
 /// the difference of the sines from the normal.
@@ -66,7 +66,12 @@ fn solve(case: &Case) -> Result<Solved, String> {
     let lengths: Vec<f64> = elements.iter().map(Strip::width).collect();
     let factors = strip_factors(&elements);
     let exitance = System::new(&factors, &lengths, &rho, &emission).relaxed();
-    Ok(Solved { strips, elements, owner, exitance })
+    Ok(Solved {
+        strips,
+        elements,
+        owner,
+        exitance,
+    })
 }
 
 fn one(case: &Case, solved: &Solved, query: &Query) -> Found {
@@ -77,7 +82,9 @@ fn one(case: &Case, solved: &Solved, query: &Query) -> Found {
     match query.quantity.as_str() {
         "mean_radiosity" => {
             let own = (0..solved.elements.len()).filter(|&e| solved.owner[e] == index);
-            let flux: f64 = own.map(|e| solved.elements[e].width() * solved.exitance[e]).sum();
+            let flux: f64 = own
+                .map(|e| solved.elements[e].width() * solved.exitance[e])
+                .sum();
             Ok(Answer::one(flux / strip.width(), "analytic"))
         }
         "radiosity_at" => {
@@ -87,7 +94,8 @@ fn one(case: &Case, solved: &Solved, query: &Query) -> Found {
                 (None, Some(d)) => {
                     let shared = solved.strips.iter().enumerate().any(|(k, s)| {
                         k != index
-                            && (s.from.distance(strip.from) < 1e-9 || s.to.distance(strip.from) < 1e-9)
+                            && (s.from.distance(strip.from) < 1e-9
+                                || s.to.distance(strip.from) < 1e-9)
                     });
                     let t = d / strip.width();
                     if shared { t } else { 1.0 - t }
@@ -107,6 +115,8 @@ fn one(case: &Case, solved: &Solved, query: &Query) -> Found {
             let value = surface.exitance.rgb()[0] + surface.reflectance.rgb()[0] * irradiance;
             Ok(Answer::one(value, "analytic"))
         }
-        other => Err(format!("quantity '{other}' is not computed in the plane yet")),
+        other => Err(format!(
+            "quantity '{other}' is not computed in the plane yet"
+        )),
     }
 }
