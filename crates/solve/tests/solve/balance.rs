@@ -1,8 +1,6 @@
 //! Emitted = absorbed + escaped + unshot.
 
-mod common;
-
-use common::{Dense, System, random, run};
+use crate::common::{Dense, System, random, run};
 use luxel_solve::{Kind, SolverSettings, balance};
 
 const KINDS: [Kind; 6] = Kind::ALL;

@@ -1,7 +1,5 @@
 //! Systems with known answers, without geometry.
 
-#![allow(dead_code)] // each test program uses its own part
-
 use luxel_core::{ElementId, Layers};
 use luxel_solve::{Kind, Problem, Progress, Solver, Transport};
 use luxel_transport::{FactorLines, FactorRow, FormFactors, LocalLines};

@@ -1,8 +1,6 @@
 //! All solvers against closed forms, against each other, and through changes of front.
 
-mod common;
-
-use common::{Dense, System, flux, luminance, random, relative_rms, run};
+use crate::common::{Dense, System, flux, luminance, random, relative_rms, run};
 use luxel_core::{ElementId, FrontChange};
 use luxel_solve::{Kind, SolverSettings};
 use luxel_transport::Constant;
@@ -157,7 +155,6 @@ fn claimed_error_is_the_true_error() {
                 let claimed = solver.step(&problem).relative_error;
                 let solution = solver.solution(&problem);
                 let is = relative_rms(&system, &solution.exitance, &exact);
-                eprintln!("{} {claimed:.5} {is:.5} {}", kind.name(), solution.work);
                 if claimed < 0.1 {
                     checked += 1;
                     let ratio = claimed / is;

@@ -1,8 +1,6 @@
 //! The published iterates of `../shared/reference/solver.json`, skipped when it is not there.
 
-mod common;
-
-use common::{Dense, System};
+use crate::common::{Dense, System};
 use luxel_core::Solution;
 use luxel_solve::{Direct, GaussSeidel, Jacobi, Kind, Solver, SolverSettings, Southwell, ambient};
 use serde_json::Value;
