@@ -8,10 +8,8 @@
 //!
 //! Delaunay triangulation: crate spade; its constraints split where they cross.
 
-use crate::prepare::Sizes;
 use luxel_core::DVec3;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation};
-use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// A point of the triangle: weights of corners 1 and 2, exact on the border.
@@ -193,11 +191,11 @@ pub(crate) fn cut(
     frame: &Frame,
     points: Vec<Weights>,
     lines: &[[u32; 2]],
-    sizes: &Sizes,
+    tolerance: f64,
 ) -> Option<Pieces> {
     // A failed assertion in the triangulation must not end a job of hours.
     catch_unwind(AssertUnwindSafe(|| {
-        triangulate(frame, points, lines, sizes)
+        triangulate(frame, points, lines, tolerance)
     }))
     .ok()
     .flatten()
@@ -207,7 +205,7 @@ fn triangulate(
     frame: &Frame,
     points: Vec<Weights>,
     lines: &[[u32; 2]],
-    sizes: &Sizes,
+    tolerance: f64,
 ) -> Option<Pieces> {
     // The corner nearest to a right angle becomes the origin.
     let skew = |k: usize| {
@@ -245,10 +243,7 @@ fn triangulate(
             .ok()?,
         );
     }
-    let tolerance = sizes.tolerance;
     let placed: Vec<DVec3> = points.iter().map(|&w| frame.point(w)).collect();
-    // What the added points inside keep their distance from: places on lines and border.
-    let mut taken = placed.clone();
     let mut chain: Vec<(f64, u32)> = Vec::new();
     for &[a, b] in lines {
         // Points near the line become part of it, or hair-thin gaps would join both sides.
@@ -271,37 +266,14 @@ fn triangulate(
             if handles[from as usize] != handles[to as usize]
                 && !on_one_edge(points[from as usize], points[to as usize])
             {
-                let ends = [from, to].map(|i| placed[i as usize]);
-                let plane = [from, to].map(|i| to_plane(points[i as usize]));
-                let mut last = handles[from as usize];
-                let gap = (ends[1] - ends[0]).length();
-                for s in sizes.between(gap, 0.0, 1.0) {
-                    let position = Point2::new(
-                        plane[0].x + s * (plane[1].x - plane[0].x),
-                        plane[0].y + s * (plane[1].y - plane[0].y),
-                    );
-                    let next = net.insert(Vertex { position, id: NEW }).ok()?;
-                    net.add_constraint_and_split(last, next, |position| Vertex {
-                        position,
-                        id: NEW,
-                    });
-                    taken.push(ends[0] + (ends[1] - ends[0]) * s);
-                    last = next;
-                }
-                net.add_constraint_and_split(last, handles[to as usize], |position| Vertex {
-                    position,
-                    id: NEW,
-                });
+                net.add_constraint_and_split(
+                    handles[from as usize],
+                    handles[to as usize],
+                    |position| Vertex { position, id: NEW },
+                );
             }
             from = to;
         }
-    }
-    for w in inside(frame, &taken, sizes) {
-        net.insert(Vertex {
-            position: to_plane(w),
-            id: NEW,
-        })
-        .ok()?;
     }
     let mut pieces = Pieces {
         points,
@@ -326,66 +298,6 @@ fn triangulate(
     }
     Some(pieces)
 }
-
-/// Points of an even grid inside a triangle, at least half a spacing from its border and from
-/// all places that are taken.
-fn inside(frame: &Frame, taken: &[DVec3], sizes: &Sizes) -> Vec<Weights> {
-    let area = 0.5 * frame.nn.sqrt();
-    let step = sizes
-        .spacing
-        .max(sizes.tolerance)
-        .max((area / MOST_INSIDE).sqrt());
-    let longest = (0..3).fold(0, |k, i| {
-        if frame.lengths[i] > frame.lengths[k] {
-            i
-        } else {
-            k
-        }
-    });
-    let x = (frame.corners[(longest + 1) % 3] - frame.corners[longest]).normalize_or_zero();
-    let y = frame.normal.cross(x).normalize_or_zero();
-    let origin = frame.corners[longest];
-    let cell = |p: DVec3| {
-        let rel = p - origin;
-        (
-            (rel.dot(x) / step).floor() as i64,
-            (rel.dot(y) / step).floor() as i64,
-        )
-    };
-    let mut near: BTreeMap<(i64, i64), Vec<DVec3>> = BTreeMap::new();
-    for &p in taken {
-        near.entry(cell(p)).or_default().push(p);
-    }
-    let (across, up) = (frame.lengths[longest] / step, frame.heights[longest] / step);
-    let mut out = Vec::new();
-    for j in 0..=up as i64 {
-        // Every second row is moved by half a step: equilateral triangles.
-        let shift = if j % 2 == 0 { 0.5 } else { 1.0 };
-        for i in 0..=across as i64 {
-            let p = origin + x * ((i as f64 + shift) * step) + y * ((j as f64 + 0.5) * step);
-            let shares = frame.shares(p);
-            let clear = (0..3).all(|k| shares[k] * frame.heights[k] > 0.5 * step);
-            let (ci, cj) = cell(p);
-            let free = clear
-                && (ci - 1..=ci + 1).all(|i| {
-                    (cj - 1..=cj + 1).all(|j| {
-                        near.get(&(i, j))
-                            .is_none_or(|list| list.iter().all(|q| q.distance(p) > 0.5 * step))
-                    })
-                });
-            if free {
-                out.push(Weights {
-                    u: on_grid(shares[2]),
-                    v: on_grid(shares[0]),
-                });
-            }
-        }
-    }
-    out
-}
-
-/// Most points added inside one triangle.
-const MOST_INSIDE: f64 = 100_000.0;
 
 /// Edges that a point is on.
 pub(crate) fn edges_of(w: Weights) -> [bool; 3] {

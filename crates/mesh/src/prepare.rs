@@ -34,21 +34,17 @@ pub struct PrepareSettings {
     pub min_contact_m: f32,
     /// Most contact lines on one triangle; the longest are kept, with a warning.
     pub max_lines: usize,
-    /// Distance of the points that are added on and beside the lines, metres: pieces are to be
-    /// about as large as elements and well shaped, or the light drawn over them shows their form.
-    pub spacing_m: f32,
 }
 
 impl PrepareSettings {
-    /// What suits a mesh: triangles from a quarter of an element on, contacts from an element's
-    /// edge on.
+    /// What suits a mesh: triangles from a quarter of an element on, contacts from an
+    /// element's edge on.
     pub fn for_mesh(mesh: &MeshSettings) -> PrepareSettings {
         PrepareSettings {
             tolerance_m: 2e-4,
             min_area_m2: 0.25 * mesh.max_area_m2,
             min_contact_m: mesh.max_area_m2.sqrt(),
             max_lines: 2000,
-            spacing_m: mesh.max_area_m2.sqrt(),
         }
     }
 }
@@ -139,36 +135,14 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
     if edges.map.is_empty() && cuts.is_empty() {
         return scene;
     }
-    let full = full_triangles(&scene, &groups, &cuts);
-    for t in (0..scene.triangles.len() as u32).filter(|&t| full[t as usize]) {
-        (0..3).for_each(|k| edges.fill(&scene, t, k));
-    }
-    let sizes = Sizes {
-        tolerance,
-        spacing: settings.spacing_m as f64,
-    };
-    edges.settle(&sizes);
-    let (pieces, failed) = divide(&scene, &edges, &cuts, &full, &sizes);
+    edges.settle(tolerance);
+    let (pieces, failed) = divide(&scene, &edges, &cuts, tolerance);
     warnings.add(
         scene.name.as_str(),
         "triangles could not be cut along contact lines; light may leak there",
         failed,
     );
     rebuild(scene, &groups, pieces)
-}
-
-/// Triangles of the flat groups in which something is cut: all of such a group is divided as
-/// finely as the pieces beside the lines, or those would fan out into it.
-fn full_triangles(scene: &Scene, groups: &Groups, cuts: &[Cut]) -> Vec<bool> {
-    let mut touched: Vec<u32> = cuts
-        .iter()
-        .map(|c| groups.of[c.triangle as usize])
-        .collect();
-    touched.sort_unstable();
-    touched.dedup();
-    let of_touched =
-        |t: usize| groups.of[t] != NONE && touched.binary_search(&groups.of[t]).is_ok();
-    (0..scene.triangles.len()).map(of_touched).collect()
 }
 
 /// Lines inside one triangle.
@@ -192,11 +166,6 @@ struct OnEdge {
     at: Vec<f64>,
     /// Where a contact line runs along it.
     runs: Vec<(f64, f64)>,
-    /// Whether a group that is divided throughout has this edge.
-    fill: bool,
-    /// For such a group, `at` with more places at the spacing of the elements. Neighbours out
-    /// of the plane keep to `at`: the added places lie on the edge but for one rounding to f32.
-    filled: Vec<f64>,
 }
 
 impl Edges {
@@ -236,15 +205,10 @@ impl Edges {
         edge.runs.push((from, to));
     }
 
-    fn fill(&mut self, scene: &Scene, t: u32, k: usize) {
-        self.entry(scene, t, k).0.fill = true;
-    }
-
-    /// Makes points closer than the tolerance one, and those at the ends none; then fills wide
-    /// gaps of the edges of cut triangles.
-    fn settle(&mut self, sizes: &Sizes) {
+    /// Makes points closer than the tolerance one, and those at the ends none.
+    fn settle(&mut self, tolerance: f64) {
         for edge in self.map.values_mut() {
-            let least = sizes.tolerance / edge.length.max(1e-30);
+            let least = tolerance / edge.length.max(1e-30);
             edge.at.sort_by(f64::total_cmp);
             let mut last = 0.0;
             edge.at.retain(|&t| {
@@ -254,46 +218,12 @@ impl Edges {
                 }
                 keep
             });
-            if edge.fill {
-                let mut from = 0.0;
-                for to in edge.at.iter().copied().chain([1.0]) {
-                    edge.filled.extend(sizes.between(edge.length, from, to));
-                    if to < 1.0 {
-                        edge.filled.push(to);
-                    }
-                    from = to;
-                }
-            }
         }
     }
 
     fn of(&self, scene: &Scene, t: u32, k: usize) -> Option<(&OnEdge, bool)> {
         let (key, turned) = Edges::key(scene, t, k);
         self.map.get(&key).map(|e| (e, turned))
-    }
-}
-
-/// Lengths that steer the cutting, metres.
-pub(crate) struct Sizes {
-    /// Points nearer than this are one.
-    pub tolerance: f64,
-    /// Wanted distance of points.
-    pub spacing: f64,
-}
-
-/// Most points added along one gap.
-const MOST_FILL: f64 = 4096.0;
-
-impl Sizes {
-    /// Places strictly between `from` and `to` (shares of `length`) that divide the gap evenly.
-    pub fn between(&self, length: f64, from: f64, to: f64) -> impl Iterator<Item = f64> + use<> {
-        let parts = (length * (to - from) / self.spacing.max(self.tolerance)).round();
-        let parts = if parts.is_finite() {
-            parts.clamp(1.0, MOST_FILL)
-        } else {
-            1.0
-        };
-        (1..parts as usize).map(move |i| from + (to - from) * i as f64 / parts)
     }
 }
 
@@ -306,13 +236,7 @@ struct Divided {
 }
 
 /// Divides all triangles that are cut or have a cut edge; also how many failed.
-fn divide(
-    scene: &Scene,
-    edges: &Edges,
-    cuts: &[Cut],
-    full: &[bool],
-    sizes: &Sizes,
-) -> (Vec<Divided>, usize) {
+fn divide(scene: &Scene, edges: &Edges, cuts: &[Cut], tolerance: f64) -> (Vec<Divided>, usize) {
     let results: Vec<(Divided, bool)> = (0..scene.triangles.len() as u32)
         .into_par_iter()
         .filter(|&t| {
@@ -321,16 +245,14 @@ fn divide(
                 .iter()
                 .filter(|&&p| edges.touched.contains(&place(p)))
                 .count();
-            full[t as usize]
-                || touched >= 2
-                    && (0..3).any(|k| edges.of(scene, t, k).is_some_and(|(e, _)| !e.at.is_empty()))
+            touched >= 2 && (0..3).any(|k| edges.of(scene, t, k).is_some())
                 || cuts.binary_search_by_key(&t, |c| c.triangle).is_ok()
         })
         .map(|t| {
             let lines = cuts
                 .binary_search_by_key(&t, |c| c.triangle)
                 .map_or(&[][..], |i| cuts[i].lines.as_slice());
-            divide_one(scene, edges, t, lines, full[t as usize], sizes)
+            divide_one(scene, edges, t, lines, tolerance)
         })
         .collect();
     let failed = results.iter().filter(|r| r.1).count();
@@ -342,10 +264,8 @@ fn divide_one(
     edges: &Edges,
     t: u32,
     lines: &[(End, End)],
-    full: bool,
-    sizes: &Sizes,
+    tolerance: f64,
 ) -> (Divided, bool) {
-    let tolerance = sizes.tolerance;
     let corners = scene.corners(t as usize);
     let frame = Frame::new(corners.map(|p| p.as_dvec3()));
     let mut points = vec![
@@ -360,11 +280,7 @@ fn divide_one(
         let Some((edge, turned)) = edges.of(scene, t, k) else {
             continue;
         };
-        let mut at = if full {
-            edge.filled.clone()
-        } else {
-            edge.at.clone()
-        };
+        let mut at = edge.at.clone();
         if turned {
             at.reverse();
         }
@@ -381,7 +297,7 @@ fn divide_one(
     }
     let mut failed = false;
     let mut pieces = None;
-    if full || !lines.is_empty() {
+    if !lines.is_empty() {
         let mut inner: Vec<DVec3> = Vec::new();
         let first_inner = points.len() as u32;
         let mut index = |end: End, points: &mut Vec<Weights>, positions: &mut Vec<Vec3>| match end {
@@ -409,7 +325,7 @@ fn divide_one(
                 ]
             })
             .collect();
-        pieces = cut(&frame, points.clone(), &pairs, sizes);
+        pieces = cut(&frame, points.clone(), &pairs, tolerance);
         failed = pieces.is_none();
         if failed {
             points.truncate(first_inner as usize);

@@ -19,18 +19,18 @@
 //!
 //! Sources: [Neumann95] (stochastic iteration for radiosity), [Bekaert99], chapter 6.
 
-use crate::ambient::from_unshot;
 use crate::contract::{Problem, Progress, Solver, Transport};
 use crate::kinds::SolverSettings;
-use crate::line_pass::{Level, LinePlan, Sent, mean};
+use crate::line_pass::{Level, LinePlan, Sent};
 use crate::photometry::{F32_RESOLUTION, absolute_flux, rho, share, sum_over, weight};
 use luxel_core::{FrontChange, Solution};
 use luxel_transport::LocalLines;
 use luxel_transport::sampling::hash;
 use rayon::prelude::*;
 
-/// Shooting ends when the light still to come is this share of what is there. The ambient
-/// term stands for it in the first regular pass, and each pass shrinks what that is wrong by.
+/// Shooting ends when the light still to come is this share of what is there. The geometric
+/// series of the last shot stands for it in the first regular pass, and each pass shrinks what
+/// that is wrong by.
 const STILL_TO_COME: f64 = 0.01;
 
 /// Old passes are forgotten by halves while the light that they lacked is more than this share
@@ -82,7 +82,7 @@ struct Chain {
     sent: Vec<f32>,
     /// Incident flux per area, lm/m²: sum over the shots, then mean of the regular passes.
     incident: Vec<f32>,
-    /// Room for the result of a pass.
+    /// Result of the last pass, or empty.
     fresh: Vec<f32>,
     /// Lines that `incident` is a mean of; 0 while shooting.
     lines: f64,
@@ -151,7 +151,14 @@ impl Chain {
             Phase::Shooting(n) | Phase::Regular(n) => n,
         };
         let seed = hash([problem.seed, self.stream, self.phase.tag(), count]);
-        let level;
+        // A shot is expected to bring what the last one brought, less the loss of a bounce. All
+        // levels are local, so a room that no light reaches stays exactly dark.
+        let expected: Vec<f32> = match self.phase {
+            Phase::Shooting(_) if self.fresh.len() == size => {
+                self.fresh.iter().map(|h| h * self.decay as f32).collect()
+            }
+            _ => nothing.clone(),
+        };
         let sent = Sent {
             exitance: &self.sent,
             // The sky shines once while shooting.
@@ -161,11 +168,9 @@ impl Chain {
                 &outside
             },
             level: match self.phase {
-                Phase::Fresh | Phase::Shooting(_) => {
-                    level = mean(problem.area, &self.sent, columns);
-                    Level::Everywhere(&level)
-                }
                 Phase::Residual | Phase::Regular(_) => Level::Incident(&self.incident),
+                Phase::Shooting(_) if expected.len() == size => Level::Incident(&expected),
+                Phase::Fresh | Phase::Shooting(_) => Level::Everywhere(&nothing),
             },
         };
         let count = match self.phase {
@@ -191,7 +196,7 @@ impl Chain {
             }
             Phase::Residual => {
                 // R = E + rho F B - B, signed: a darkened place owes light.
-                std::mem::swap(&mut self.incident, &mut self.fresh);
+                self.incident = std::mem::take(&mut self.fresh);
                 let before = std::mem::take(&mut self.sent);
                 self.sent = vec![0.0; size];
                 let incident = &self.incident;
@@ -259,10 +264,11 @@ impl Chain {
         self.phase = Phase::Regular(0);
         self.lines = 0.0;
         let columns = problem.columns();
-        let ambient = from_unshot(problem, |at| self.sent[at] as f64);
-        let incident = &self.incident;
+        let still = (self.decay / (1.0 - self.decay)).min(100.0);
+        let (incident, last) = (&self.incident, &self.fresh);
         fill(&mut self.sent, columns, |at, i, k| {
-            problem.emission[at] + rho(problem, i, k) * (incident[at] as f64 + ambient[k])
+            let to_come = last.get(at).map_or(0.0, |h| still * *h as f64);
+            problem.emission[at] + rho(problem, i, k) * (incident[at] as f64 + to_come)
         });
     }
 }

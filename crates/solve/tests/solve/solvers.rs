@@ -460,6 +460,42 @@ fn shelf_has_the_values_of_the_design() {
 }
 
 #[test]
+fn a_room_that_no_light_reaches_stays_exactly_dark() {
+    // Two closed spheres of 30 patches that do not see each other; one is lit. Nothing but an
+    // estimate from the wrong place could put light into the other.
+    let n = 30;
+    let same = |i: usize, j: usize| (i < n) == (j < n);
+    let rows = (0..2 * n)
+        .map(|i| {
+            (0..2 * n)
+                .map(|j| if same(i, j) { 1.0 / n as f64 } else { 0.0 })
+                .collect()
+        })
+        .collect();
+    let emission = (0..6 * n)
+        .map(|at| if at < 9 { 100.0 } else { 0.0 })
+        .collect();
+    let dense = Dense {
+        rows,
+        outside: vec![0.0; 2 * n],
+    };
+    let system = System::new(1, vec![1.0; 2 * n], vec![0.7; 6 * n], emission, dense);
+    for kind in Kind::ALL {
+        let problem = system.problem(kind);
+        let mut solver = kind.build(SolverSettings::default());
+        for _ in 0..20 {
+            solver.step(&problem);
+            let solution = solver.solution(&problem);
+            assert!(
+                solution.exitance[3 * n..].iter().all(|b| *b == 0.0),
+                "{}",
+                kind.name()
+            );
+        }
+    }
+}
+
+#[test]
 fn empty_and_dark_problems_are_harmless() {
     let empty = System::new(
         1,
