@@ -43,7 +43,10 @@ struct Solved {
 
 pub(super) fn answer(case: &Case) -> Vec<Found> {
     let solved = ELEMENTS.map(|elements| solve(case, elements));
-    case.queries.iter().map(|query| extrapolated(case, &solved, query)).collect()
+    case.queries
+        .iter()
+        .map(|query| extrapolated(case, &solved, query))
+        .collect()
 }
 
 fn extrapolated(case: &Case, solved: &[Result<Solved, String>; 2], query: &Query) -> Found {
