@@ -43,7 +43,7 @@ fn lit_box(exitance: f32) -> (Scene, Vec<Receiver>) {
         .iter_mut()
         .filter_map(|f| f.emission.as_mut())
     {
-        emission.luminance = emission.luminance * exitance;
+        emission.luminance *= exitance;
     }
     let (low, high) = scene.bounds();
     let at = |x: f32, y: f32, z: f32| low + (high - low) * Vec3::new(x, y, z);
