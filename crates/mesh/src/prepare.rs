@@ -136,6 +136,8 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         return scene;
     }
     edges.settle(tolerance);
+    // Lines came group by group; a triangle is in one group only.
+    cuts.sort_unstable_by_key(|c| c.triangle);
     let (pieces, failed) = divide(&scene, &edges, &cuts, tolerance);
     warnings.add(
         scene.name.as_str(),
@@ -235,7 +237,8 @@ struct Divided {
     positions: Vec<Vec3>,
 }
 
-/// Divides all triangles that are cut or have a cut edge; also how many failed.
+/// Divides all triangles that are cut or have a cut edge; also how many failed. `cuts` ascend by
+/// triangle.
 fn divide(scene: &Scene, edges: &Edges, cuts: &[Cut], tolerance: f64) -> (Vec<Divided>, usize) {
     let results: Vec<(Divided, bool)> = (0..scene.triangles.len() as u32)
         .into_par_iter()

@@ -677,16 +677,17 @@ proptest! {
         let single = b.matte("single", 0.5, 0.5, 0.5);
         let double = b.thin("double", 0.5, 0.5, 0.5);
         for (i, (o, u, w, quad, thin)) in shapes.iter().enumerate() {
-            // Whole millimetres: the corners are off by no more than f32 rounds.
-            let mm = |a: &[f32; 3]| Vec3::from(a.map(|x| (x * 1e3).round() / 1e3));
+            // Whole millimetres, summed in f64: each corner is rounded to f32 once, as in a file.
+            let mm = |a: &[f32; 3]| glam::DVec3::from(a.map(|x| (x as f64 * 1e3).round() / 1e3));
             let (o, u, w) = (mm(o), mm(u), mm(w));
             // Slivers thinner than 1 % of their length: f32 cannot tell their cells apart.
             prop_assume!(u.cross(w).length() > 0.03 * u.length().max(w.length()).powi(2));
+            let [o, ou, ouw, ow] = [o, o + u, o + u + w, o + w].map(|p| p.as_vec3());
             b.on(&format!("s{i}"), if *thin { double } else { single });
             if *quad {
-                b.polygon(&[o, o + u, o + u + w, o + w]);
+                b.polygon(&[o, ou, ouw, ow]);
             } else {
-                b.polygon(&[o, o + u, o + w]);
+                b.polygon(&[o, ou, ow]);
             }
         }
         let scene = b.build();

@@ -177,6 +177,23 @@ fn partition_divides_floor_ceiling_and_walls() {
 }
 
 #[test]
+fn hardly_a_line_is_left_to_cut_the_second_time() {
+    // Groups and triangles of these scenes are in different orders, and many touch many.
+    for scene in [luxel_scenes::two_rooms(), luxel_scenes::office()] {
+        let mesh = MeshSettings::for_scene(&scene, 20_000);
+        let settings = PrepareSettings::for_mesh(&mesh);
+        let mut warnings = Warnings::default();
+        let once = prepare(scene.clone(), &settings, &mut warnings);
+        assert!(once.triangles.len() > scene.triangles.len());
+        let twice = prepare(once.clone(), &settings, &mut warnings);
+        let added = once.triangles.len() - scene.triangles.len();
+        let again = twice.triangles.len() - once.triangles.len();
+        // Pieces have corners of their own, so outlines grow together and past the least size.
+        assert!(again * 20 < added, "{}: {added}, then {again}", scene.name);
+    }
+}
+
+#[test]
 fn scene_without_contacts_comes_back_as_it_was() {
     let scene = luxel_scenes::furnace::closed_box(2.0, 3.0, 2.5, [0.5; 6]);
     let (new, warnings) = prepared(&scene, 0.1);
