@@ -8,7 +8,7 @@
 //! weak lights are sampled together by importance (see `tree`).
 
 use crate::lights::{DirectLights, View};
-use crate::tree::Item;
+use crate::tree::{FINE, Item, Lots, sort};
 use luxel_core::{ElementId, Front, Scene, Vec3};
 use luxel_transport::sampling::hash;
 use luxel_transport::{Ray, RayCaster, Sequence};
@@ -57,7 +57,7 @@ struct Task {
 
 #[derive(Default)]
 struct Scratch {
-    items: Vec<(f32, Item)>,
+    lots: Lots,
     tasks: Vec<Task>,
     rays: Vec<Ray>,
     /// Task (or first column, for the weak lights) and weight of each ray.
@@ -163,15 +163,21 @@ impl Job<'_> {
         let (other, _) = self.front.point_on(self.scene, element, [1.0, 1.0]);
         let reach = (corner - centre).length().max((other - centre).length());
         let lights = self.lights;
-        lights
-            .tree
-            .cut(&lights.lights, centre, normal, reach, &mut s.items);
+        lights.tree.cut(
+            &lights.lights,
+            centre,
+            normal,
+            reach,
+            FINE,
+            &mut s.lots.items,
+        );
+        sort(&mut s.lots.items);
         let (mut strong, mut kept) = (0, 0);
-        let whole: f32 = s.items.iter().map(|i| i.0).sum();
-        let few = s.items.len() <= FEW;
-        for i in 0..s.items.len() {
-            let asked = strong < self.settings.strong && (few || s.items[i].0 >= WEAK * whole);
-            match s.items[i].1 {
+        let whole: f32 = s.lots.items.iter().map(|i| i.0).sum();
+        let few = s.lots.items.len() <= FEW;
+        for i in 0..s.lots.items.len() {
+            let asked = strong < self.settings.strong && (few || s.lots.items[i].0 >= WEAK * whole);
+            match s.lots.items[i].1 {
                 Item::Light(light) if asked => {
                     strong += 1;
                     s.tasks.push(Task {
@@ -183,35 +189,37 @@ impl Job<'_> {
                     });
                 }
                 _ => {
-                    s.items[kept] = s.items[i];
+                    s.lots.items[kept] = s.lots.items[i];
                     kept += 1;
                 }
             }
         }
-        s.items.truncate(kept);
+        s.lots.items.truncate(kept);
         if kept > 0 {
+            s.lots.close();
             self.lottery(element, k, (centre, normal, reach), s);
         }
     }
 
     fn lottery(&self, element: ElementId, k: usize, site: (Vec3, Vec3, f32), s: &mut Scratch) {
         let lights = self.lights;
-        let whole: f64 = s.items.iter().map(|i| i.0 as f64).sum();
         let offset = self.caster.offset_m();
         let draws = self.settings.weak_samples.max(1);
         let places = Sequence::new(hash([self.settings.seed, 0x77ea]), element.0);
         let picks = Sequence::new(hash([self.settings.seed, 0x70c4]), element.0);
         for i in 0..draws {
             let [u, v, a, b] = places.point4(i);
-            let pick = picks.point1(i) * whole;
-            let Some((item, chance, rest)) = draw(&s.items, pick, whole) else {
+            let Some(drawn) = s.lots.draw(picks.point1(i)) else {
                 continue;
             };
-            let Some((light, p)) =
-                lights
-                    .tree
-                    .pick(item, &lights.lights, site.0, site.1, site.2, rest)
-            else {
+            let Some((light, p)) = lights.tree.pick(
+                drawn.item,
+                &lights.lights,
+                site.0,
+                site.1,
+                site.2,
+                drawn.rest,
+            ) else {
                 continue;
             };
             let light = &lights.lights[light as usize];
@@ -228,7 +236,7 @@ impl Job<'_> {
                 }
             };
             if weight > 0.0 {
-                let share = weight / (draws as f64 * chance * p);
+                let share = weight / (draws as f64 * drawn.probability * p);
                 s.weak_rays.push(ray);
                 let place = k * lights.columns + 3 * light.group;
                 s.weak.push((
@@ -279,24 +287,4 @@ impl Task {
             self.factor * self.seen[1] as f64
         }
     }
-}
-
-/// The item at `pick` of the running sum of guesses, its probability, and what is left of the
-/// random number.
-pub(crate) fn draw(items: &[(f32, Item)], pick: f64, whole: f64) -> Option<(Item, f64, f64)> {
-    let mut before = 0.0;
-    for &(guess, item) in items {
-        let guess = guess as f64;
-        if pick < before + guess {
-            return Some((
-                item,
-                guess / whole,
-                ((pick - before) / guess).clamp(0.0, 1.0),
-            ));
-        }
-        before += guess;
-    }
-    items
-        .last()
-        .map(|&(guess, item)| (item, guess as f64 / whole, 0.5))
 }

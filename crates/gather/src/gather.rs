@@ -2,8 +2,8 @@
 //!
 //! Indirect: cosine-distributed low-discrepancy rays bring the exitance of the element that
 //! they hit, in all layers at once, or the sky's. The rays belong to eight independently
-//! scrambled sequences, so eight independent estimates give the standard error. Direct: see
-//! `shadow`. Whatever adds most error for its rays is doubled until the wanted error is
+//! scrambled sequences, so eight independent estimates give the standard error. What elements
+//! send above a cap is asked as from lights, see `bright`. Direct: see `shadow`. Whatever adds most error for its rays is doubled until the wanted error is
 //! reached or its rays are spent.
 //!
 //! The random numbers of a receiver depend on the seed, its place and its normal, so an answer
@@ -16,10 +16,11 @@
 //! Source: final gather [Reichert92], [Christensen97]; randomised nets as error estimate
 //! [Owen97].
 
+use crate::bright::Bright;
 use crate::contract::{Accuracy, Irradiance, Receiver};
 use crate::lights::DirectLights;
 use crate::shadow::{self, Rays, SUBSETS, Site, Strong, Subsets, photometric_f32};
-use crate::tree::Item;
+use crate::tree::{COARSE, Lots};
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::{Front, Scene, Solution};
 use luxel_transport::sampling::{cosine_hemisphere, hash};
@@ -41,6 +42,7 @@ pub struct Gatherer<'a> {
     caster: &'a dyn RayCaster,
     solution: &'a Solution,
     lights: &'a DirectLights,
+    bright: Bright,
     /// What a ray that leaves the scene brings, all columns.
     outside: Vec<f64>,
     /// No ray can bring anything: nothing is solved and there is no sky.
@@ -52,9 +54,11 @@ pub struct Gatherer<'a> {
 struct Scratch<'a> {
     rays: Rays,
     hits: Vec<Hit>,
-    items: Vec<(f32, Item)>,
+    lots: Lots,
     strong: Vec<Strong<'a>>,
     weak: Subsets,
+    bright_lots: Lots,
+    bright: Subsets,
     indirect: Subsets,
     variances: Vec<f64>,
     values: Vec<f64>,
@@ -91,6 +95,7 @@ impl<'a> Gatherer<'a> {
             caster,
             solution,
             lights,
+            bright: Bright::new(scene, front, solution),
             outside,
             dark,
         }
@@ -177,26 +182,40 @@ impl<'a> Gatherer<'a> {
 
         s.indirect.reset(columns);
         s.weak.reset(columns);
-        shadow::strong_lights(self.lights, &site, &mut s.items, &mut s.strong);
+        s.bright.reset(columns);
+        s.bright_lots.items.clear();
+        s.bright_lots.close();
+        shadow::strong_lights(self.lights, &site, &mut s.lots, &mut s.strong);
         let unoccluded: f64 = s.strong.iter().map(|l| l.lux).sum();
         for light in &mut s.strong {
             let until = Strong::first_round(light.lux / unoccluded);
             light.cast(&site, until, self.caster, &mut s.rays);
         }
-        if !s.items.is_empty() {
-            let until = fewest.min(8);
-            let (weak, rays) = (&mut s.weak, &mut s.rays);
-            shadow::weak_lights(self.lights, &site, &s.items, until, weak, self.caster, rays);
+        if !s.lots.items.is_empty() {
+            self.weak(&site, fewest.min(8), s);
+        }
+        if !self.bright.is_empty() {
+            let (bright, items) = (&self.bright, &mut s.bright_lots.items);
+            bright
+                .tree
+                .cut(&bright.lights, p, normal, 0.0, COARSE, items);
+            s.bright_lots.close();
+            if !s.bright_lots.items.is_empty() {
+                self.bright(&site, fewest.min(8), s);
+            }
         }
         if !self.dark {
             self.gather(&site, fewest, &mut s.indirect, &mut s.rays, &mut s.hits);
         }
 
-        // Parts: strong lights, then the weak ones, then the indirect light.
-        let count = s.strong.len() + 2;
+        // Parts: strong lights, then the weak ones, bright elements, and the gather rays.
+        let count = s.strong.len() + 3;
         s.variances.clear();
         s.variances.extend(s.strong.iter().map(|l| l.doubt()));
-        s.variances.push(s.weak.variance(columns, None));
+        s.variances
+            .push(s.weak.variance(columns, None).max(s.lots.doubt()));
+        s.variances
+            .push(s.bright.variance(columns, None).max(s.bright_lots.doubt()));
         s.variances.push(s.indirect.variance(columns, None));
         s.values.resize(columns, 0.0);
         loop {
@@ -219,6 +238,7 @@ impl<'a> Gatherer<'a> {
                     None if s.strong[part].agrees() => (s.strong[part].taken(), most),
                     None => (s.strong[part].taken(), most_shadow),
                     Some(0) => (s.weak.taken, most.saturating_mul(4)),
+                    Some(1) => (s.bright.taken, most.saturating_mul(4)),
                     Some(_) => (s.indirect.taken, most),
                 };
                 let pays = s.variances[part] / taken.max(1) as f64;
@@ -234,18 +254,12 @@ impl<'a> Gatherer<'a> {
                     light.doubt()
                 }
                 Some(0) => {
-                    let until = 2 * s.weak.taken;
-                    let (weak, rays) = (&mut s.weak, &mut s.rays);
-                    shadow::weak_lights(
-                        self.lights,
-                        &site,
-                        &s.items,
-                        until,
-                        weak,
-                        self.caster,
-                        rays,
-                    );
-                    s.weak.variance(columns, None)
+                    self.weak(&site, 2 * s.weak.taken, s);
+                    s.weak.variance(columns, None).max(s.lots.doubt())
+                }
+                Some(1) => {
+                    self.bright(&site, 2 * s.bright.taken, s);
+                    s.bright.variance(columns, None).max(s.bright_lots.doubt())
                 }
                 Some(_) => {
                     let until = 2 * s.indirect.taken;
@@ -261,6 +275,7 @@ impl<'a> Gatherer<'a> {
             s.layers[light.light.group] += light.variance();
         }
         s.weak.variance(columns, Some(&mut s.layers));
+        s.bright.variance(columns, Some(&mut s.layers));
         s.indirect.variance(columns, Some(&mut s.layers));
         for (out, &v) in values.iter_mut().zip(&s.values) {
             *out = v as f32;
@@ -269,9 +284,10 @@ impl<'a> Gatherer<'a> {
             *out = v.sqrt() as f32;
         }
         let strong: f64 = s.strong.iter().map(|l| l.variance()).sum();
-        *error = (strong + s.variances[s.strong.len()..].iter().sum::<f64>()).sqrt() as f32;
+        let random = [&s.weak, &s.bright, &s.indirect].map(|part| part.variance(columns, None));
+        *error = (strong + random.iter().sum::<f64>()).sqrt() as f32;
         let shadow: u64 = s.strong.iter().map(|l| l.rays() as u64).sum();
-        shadow + s.weak.rays() as u64 + s.indirect.rays() as u64
+        shadow + s.weak.rays() as u64 + s.bright.rays() as u64 + s.indirect.rays() as u64
     }
 
     /// The sum of all parts, all columns.
@@ -279,12 +295,64 @@ impl<'a> Gatherer<'a> {
         s.values.fill(0.0);
         s.indirect.add_mean(&mut s.values);
         s.weak.add_mean(&mut s.values);
+        s.bright.add_mean(&mut s.values);
         for light in &s.strong {
             let place = 3 * light.light.group;
             for (band, v) in light.value().into_iter().enumerate() {
                 s.values[place + band] += v;
             }
         }
+    }
+
+    /// Takes draws of the weak lights until each subset has `until`.
+    fn weak(&self, site: &Site, until: u32, s: &mut Scratch<'a>) {
+        let (lights, tree) = (&self.lights.lights, &self.lights.tree);
+        let (lots, subsets, rays) = (&mut s.lots, &mut s.weak, &mut s.rays);
+        let add = |row: &mut [f64], index: u32, share: f64| {
+            let light = &lights[index as usize];
+            for (band, tint) in light.tint.to_array().into_iter().enumerate() {
+                row[3 * light.group + band] += tint as f64 * share;
+            }
+        };
+        let salt = 0x1b87_3593;
+        shadow::weak_lights(
+            lights,
+            tree,
+            site,
+            lots,
+            until,
+            salt,
+            subsets,
+            self.caster,
+            rays,
+            add,
+        );
+    }
+
+    /// Takes draws of the bright elements until each subset has `until`.
+    fn bright(&self, site: &Site, until: u32, s: &mut Scratch<'a>) {
+        let (lights, tree) = (&self.bright.lights, &self.bright.tree);
+        let (lots, subsets, rays) = (&mut s.bright_lots, &mut s.bright, &mut s.rays);
+        let columns = self.lights.columns;
+        let add_rest = |row: &mut [f64], index: u32, share: f64| {
+            let first = self.bright.element[index as usize].index() * columns;
+            let share = share * self.bright.rest(index);
+            let exitance = &self.solution.exitance[first..first + columns];
+            add(row, exitance, |&b| b as f64 * share);
+        };
+        let salt = 0x85eb_ca6b;
+        shadow::weak_lights(
+            lights,
+            tree,
+            site,
+            lots,
+            until,
+            salt,
+            subsets,
+            self.caster,
+            rays,
+            add_rest,
+        );
     }
 
     /// Takes gather rays until each subset has `until`.
@@ -320,8 +388,12 @@ impl<'a> Gatherer<'a> {
                     let at = ray.origin + ray.direction * hit.t;
                     if let Some(e) = self.front.element_at(hit.triangle as usize, hit.side, at) {
                         let first = e.index() * columns;
-                        if let Some(b) = self.solution.exitance.get(first..first + columns) {
-                            add(row, b, |&b| b as f64);
+                        let Some(b) = self.solution.exitance.get(first..first + columns) else {
+                            continue;
+                        };
+                        match self.bright.kept.get(e.index()) {
+                            Some(&kept) if kept < 1.0 => add(row, b, |&b| (b * kept) as f64),
+                            _ => add(row, b, |&b| b as f64),
                         }
                     }
                 }

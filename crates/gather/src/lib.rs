@@ -4,6 +4,7 @@
 //! first emission, and [`Gatherer::irradiance_at`] answers at any receiver: one function for
 //! every number shown.
 
+mod bright;
 pub mod contract;
 pub mod element_direct;
 mod emitter;

@@ -8,10 +8,9 @@
 //! what they could have missed is small beside the wanted error, so that a slit or a thin
 //! occluder which matters is found.
 
-use crate::element_direct::draw;
 use crate::emitter::EmitterView;
 use crate::lights::{DirectLights, Light, View, photometric};
-use crate::tree::Item;
+use crate::tree::{FINE, Item, LightTree, Lots, sort};
 use luxel_core::Vec3;
 use luxel_core::quantity::LUMINANCE_WEIGHTS;
 use luxel_transport::sampling::hash;
@@ -27,7 +26,7 @@ pub(crate) const STUDENT: f64 = (SUBSETS as f64 - 1.0) / (SUBSETS as f64 - 3.0);
 const STRONG: usize = 24;
 
 /// Share of a ray's light that is feared to be missed while all rays agree.
-const MISSED: f64 = 0.3;
+pub(crate) const MISSED: f64 = 0.3;
 
 /// A receiver, ready to send rays.
 #[derive(Clone, Copy)]
@@ -47,7 +46,16 @@ pub(crate) struct Site {
 pub(crate) struct Rays {
     pub rays: Vec<Ray>,
     pub visible: Vec<f32>,
-    owner: Vec<(u32, [f64; 3])>,
+    owner: Vec<Owner>,
+}
+
+/// To whom a shadow ray belongs.
+struct Owner {
+    subset: u32,
+    light: u32,
+    weight: f64,
+    /// Place in the lottery.
+    place: u32,
 }
 
 /// Sums of independent subsets, all columns.
@@ -194,7 +202,12 @@ impl Strong<'_> {
         match &self.view {
             View::Point(ray) => {
                 buffer.rays.push(*ray);
-                buffer.owner.push((0, [1.0, 0.0, 0.0]));
+                buffer.owner.push(Owner {
+                    subset: 0,
+                    light: self.index,
+                    weight: 1.0,
+                    place: 0,
+                });
             }
             View::Polygon(view) => {
                 for g in 0..SUBSETS {
@@ -206,7 +219,12 @@ impl Strong<'_> {
                             buffer
                                 .rays
                                 .push(self.light.segment_to(site.start, x, site.offset));
-                            buffer.owner.push((g as u32, [weight, 0.0, 0.0]));
+                            buffer.owner.push(Owner {
+                                subset: g as u32,
+                                light: self.index,
+                                weight,
+                                place: 0,
+                            });
                         }
                     }
                 }
@@ -215,9 +233,9 @@ impl Strong<'_> {
         self.taken = until;
         buffer.visible.resize(buffer.rays.len(), 0.0);
         caster.visibility(&buffer.rays, &mut buffer.visible);
-        for (&(g, [weight, ..]), &v) in buffer.owner.iter().zip(&buffer.visible) {
-            self.weight[g as usize] += weight;
-            self.free[g as usize] += weight * v as f64;
+        for (o, &v) in buffer.owner.iter().zip(&buffer.visible) {
+            self.weight[o.subset as usize] += o.weight;
+            self.free[o.subset as usize] += o.weight * v as f64;
             self.seen = [self.seen[0].min(v), self.seen[1].max(v)];
         }
     }
@@ -244,17 +262,19 @@ fn sample_view(view: &EmitterView<'_>, [u, v]: [f32; 2]) -> (Vec3, f64) {
     view.sample([u as f64 + HALF, v as f64 + HALF])
 }
 
-/// Finds the strong lights of a receiver; leaves the weak ones in `items`.
+/// Finds the strong lights of a receiver; leaves the weak ones in `lots`, closed.
 pub(crate) fn strong_lights<'a>(
     lights: &'a DirectLights,
     site: &Site,
-    items: &mut Vec<(f32, Item)>,
+    lots: &mut Lots,
     strong: &mut Vec<Strong<'a>>,
 ) {
     strong.clear();
+    let items = &mut lots.items;
     lights
         .tree
-        .cut(&lights.lights, site.point, site.normal, 0.0, items);
+        .cut(&lights.lights, site.point, site.normal, 0.0, FINE, items);
+    sort(items);
     let mut kept = 0;
     for i in 0..items.len() {
         match items[i].1 {
@@ -286,34 +306,42 @@ pub(crate) fn strong_lights<'a>(
         }
     }
     items.truncate(kept);
+    lots.close();
 }
 
-/// Takes samples of the weak lights until each subset has `until`.
+/// Takes draws of the lottery over `lights` until each subset has `until`; `add` is told of each
+/// draw that arrives: the sums of its subset, the light, and how often its tint arrives. `salt`
+/// tells the random numbers of one lottery from those of another.
+#[allow(clippy::too_many_arguments)]
 pub(crate) fn weak_lights(
-    lights: &DirectLights,
+    lights: &[Light],
+    tree: &LightTree,
     site: &Site,
-    items: &[(f32, Item)],
+    lots: &mut Lots,
     until: u32,
+    salt: u32,
     subsets: &mut Subsets,
     caster: &dyn RayCaster,
     buffer: &mut Rays,
+    mut add: impl FnMut(&mut [f64], u32, f64),
 ) {
-    let whole: f64 = items.iter().map(|i| i.0 as f64).sum();
     buffer.rays.clear();
     buffer.owner.clear();
     for g in 0..SUBSETS {
-        let places = Sequence::new(site.key ^ 0x1b87_3593, 2 * g as u32);
-        let picks = Sequence::new(site.key ^ 0x1b87_3593, 2 * g as u32 + 1);
+        let places = Sequence::new(site.key ^ salt, 2 * g as u32);
+        let picks = Sequence::new(site.key ^ salt, 2 * g as u32 + 1);
         for i in subsets.taken..until {
-            let Some((item, chance, rest)) = draw(items, picks.point1(i) * whole, whole) else {
+            let Some(drawn) = lots.draw(picks.point1(i)) else {
                 continue;
             };
-            let picked = lights
-                .tree
-                .pick(item, &lights.lights, site.point, site.normal, 0.0, rest);
-            let Some((light, p)) = picked else { continue };
-            let light = &lights.lights[light as usize];
+            let picked = tree.pick(drawn.item, lights, site.point, site.normal, 0.0, drawn.rest);
+            let Some((index, p)) = picked else {
+                lots.count(drawn.place, 0.0);
+                continue;
+            };
+            let light = &lights[index as usize];
             let Some(view) = light.view(site.point, site.normal, site.start, site.offset) else {
+                lots.count(drawn.place, 0.0);
                 continue;
             };
             let (ray, weight) = match view {
@@ -327,24 +355,29 @@ pub(crate) fn weak_lights(
                 }
             };
             if weight > 0.0 {
-                let share = weight / (chance * p);
-                let place = g * lights.columns + 3 * light.group;
                 buffer.rays.push(ray);
-                buffer.owner.push((
-                    place as u32,
-                    light.tint.to_array().map(|t| t as f64 * share),
-                ));
+                buffer.owner.push(Owner {
+                    subset: g as u32,
+                    light: index,
+                    weight: weight / (drawn.probability * p),
+                    place: drawn.place,
+                });
+            } else {
+                lots.count(drawn.place, 0.0);
             }
         }
     }
     subsets.taken = until;
     buffer.visible.resize(buffer.rays.len(), 0.0);
     caster.visibility(&buffer.rays, &mut buffer.visible);
-    for (&(place, value), &v) in buffer.owner.iter().zip(&buffer.visible) {
-        for band in 0..3 {
-            subsets.sums[place as usize + band] += value[band] * v as f64;
-        }
+    let columns = subsets.sums.len() / SUBSETS;
+    for (o, &v) in buffer.owner.iter().zip(&buffer.visible) {
+        let first = o.subset as usize * columns;
+        let row = &mut subsets.sums[first..first + columns];
+        add(row, o.light, o.weight * v as f64);
+        lots.count(o.place, v);
     }
+    lots.next_round();
 }
 
 /// Photometric value of three bands of a row.

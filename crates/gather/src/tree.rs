@@ -10,11 +10,14 @@
 //! lottery.
 
 use crate::lights::{Light, LightKind};
+use crate::shadow::MISSED;
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::{LuminaireKind, Vec3};
 
-/// Nodes whose radius over distance is below this are not opened.
-const SMALL: f32 = 0.25;
+/// Nodes whose radius over distance is below this are not opened: where the strongest lights are
+/// looked for, and where all go into the lottery.
+pub(crate) const FINE: f32 = 0.25;
+pub(crate) const COARSE: f32 = 0.5;
 /// So few lights are each looked at.
 const FEW: usize = 64;
 
@@ -45,6 +48,101 @@ pub(crate) enum Item {
     Light(u32),
     /// A node with several.
     Node(u32),
+}
+
+/// The strongest first.
+pub(crate) fn sort(items: &mut [(f32, Item)]) {
+    items.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+}
+
+/// What a receiver must consider, and a lottery over it that learns: an item
+/// whose draws were hidden is drawn less from the next round on.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lots {
+    /// Guessed irradiance and item.
+    pub items: Vec<(f32, Item)>,
+    /// Draws of each item, and how many of them arrived.
+    tally: Vec<[f32; 2]>,
+    /// Running sum of the weights.
+    sums: Vec<f64>,
+    /// Sum of the guesses, lux.
+    whole: f64,
+}
+
+/// One draw of a lottery.
+pub(crate) struct Drawn {
+    /// Place in [`Lots::items`].
+    pub place: u32,
+    pub item: Item,
+    pub probability: f64,
+    /// What is left of the random number, uniform in 0..1.
+    pub rest: f64,
+}
+
+/// An item is never drawn less than this share of what its guess says.
+const LEAST: f32 = 0.1;
+/// So many draws must arrive before their spread is believed.
+const ENOUGH: f32 = 8.0;
+/// After so many draws with hardly an arrival the lights are behind a wall.
+const HIDDEN: f32 = 512.0;
+
+impl Lots {
+    /// Makes the lottery ready; the items stay as they are from here on.
+    pub fn close(&mut self) {
+        self.whole = self.items.iter().map(|i| i.0 as f64).sum();
+        self.tally.clear();
+        self.tally.resize(self.items.len(), [0.0; 2]);
+        self.next_round();
+    }
+
+    /// Takes what was tallied into account. Within a round the chances stay the same, so that
+    /// each draw alone is unbiased.
+    pub fn next_round(&mut self) {
+        let mut sum = 0.0;
+        self.sums.clear();
+        let items = self.items.iter().zip(&self.tally);
+        self.sums.extend(items.map(|(i, [drawn, arrived])| {
+            let share = ((arrived + 1.0) / (drawn + 1.0)).max(LEAST);
+            sum += i.0 as f64 * share as f64;
+            sum
+        }));
+    }
+
+    /// What `u`, uniform in 0..1, draws; `None` when there is nothing.
+    pub fn draw(&self, u: f64) -> Option<Drawn> {
+        let whole = *self.sums.last()?;
+        let pick = u * whole;
+        let last = self.items.len() - 1;
+        let place = self.sums.partition_point(|s| *s <= pick).min(last);
+        let before = if place > 0 { self.sums[place - 1] } else { 0.0 };
+        let weight = self.sums[place] - before;
+        Some(Drawn {
+            place: place as u32,
+            item: self.items[place].1,
+            probability: weight / whole,
+            rest: ((pick - before) / weight).clamp(0.0, 1.0),
+        })
+    }
+
+    /// Counts a draw and what share of it arrived.
+    pub fn count(&mut self, place: u32, arrived: f32) {
+        let [drawn, seen] = &mut self.tally[place as usize];
+        *drawn += 1.0;
+        *seen += arrived;
+    }
+
+    /// Variance that may hide behind too few arrivals, lux².
+    pub fn doubt(&self) -> f64 {
+        let (drawn, seen) = self
+            .tally
+            .iter()
+            .fold((0.0f32, 0.0f32), |s, t| (s.0 + t[0], s.1 + t[1]));
+        if seen >= ENOUGH || drawn >= HIDDEN {
+            return 0.0;
+        }
+        let missed = MISSED * self.whole / (drawn as f64).max(1.0);
+        missed * missed
+    }
 }
 
 /// The tree, and the lights that are infinitely far.
@@ -119,13 +217,14 @@ impl LightTree {
     }
 
     /// Replaces `items` by the lights and nodes that a receiver must consider, each with its
-    /// guessed irradiance, strongest first.
+    /// guessed irradiance. Items without a guess are left out.
     pub fn cut(
         &self,
         lights: &[Light],
         point: Vec3,
         normal: Vec3,
         reach: f32,
+        small: f32,
         items: &mut Vec<(f32, Item)>,
     ) {
         items.clear();
@@ -136,10 +235,9 @@ impl LightTree {
             ));
         }
         if !self.nodes.is_empty() {
-            self.open(0, lights, point, normal, reach, items);
+            self.open(0, lights, point, normal, reach, small, items);
         }
         items.retain(|i| i.0 > 0.0);
-        items.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     }
 
     fn open(
@@ -149,6 +247,7 @@ impl LightTree {
         point: Vec3,
         normal: Vec3,
         reach: f32,
+        small: f32,
         items: &mut Vec<(f32, Item)>,
     ) {
         let node = &self.nodes[at as usize];
@@ -165,11 +264,11 @@ impl LightTree {
                     return;
                 }
                 let d = (node.centre - point).length() - reach;
-                if d > 0.0 && node.radius < SMALL * d && lights.len() > FEW {
+                if d > 0.0 && node.radius < small * d && lights.len() > FEW {
                     items.push((guess, Item::Node(at)));
                 } else {
-                    self.open(first, lights, point, normal, reach, items);
-                    self.open(first + 1, lights, point, normal, reach, items);
+                    self.open(first, lights, point, normal, reach, small, items);
+                    self.open(first + 1, lights, point, normal, reach, small, items);
                 }
             }
         }

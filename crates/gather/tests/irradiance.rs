@@ -330,6 +330,57 @@ fn dark_side_of_a_wall_is_exactly_dark() {
     assert!(elements[..12].iter().all(|&v| v > 100.0), "the lit floor");
 }
 
+#[test]
+fn a_hot_spot_on_the_ceiling_is_found_by_every_receiver() {
+    // In an empty room a receiver sees M of the walls, and more by the exact factor of a spot
+    // that covers 1/600 of the surface and sends out half of the light.
+    let mut quads = cuboid([0.0; 3], [4.0, 3.0, 2.5], true).map_all(|q| q.reflecting(5));
+    let spot = Quad::new([1.9, 1.4, 2.499], [0.0, 0.3, 0.0], [0.3, 0.0, 0.0]);
+    let polygon = spot.polygon();
+    quads.push(spot.reflecting(2));
+    let (s, front) = scene(&quads, 1);
+    let caster = Bvh::build(&s);
+    let lights = DirectLights::new(&s, &front);
+    let solved = solution(&s, &front, |e, _| if e >= 150 { 6001.0 } else { 10.0 });
+    let gatherer = Gatherer::new(&s, &front, &caster, &solved, &lights);
+    let receivers: Vec<Receiver> = (0..200)
+        .map(|k| {
+            let f = |step: f32| 0.01 + 0.98 * (0.5 + k as f32 * step).fract();
+            let (a, b) = (f(0.618), f(0.755));
+            match k % 3 {
+                0 => at([4.0 * a, 3.0 * b, 0.0], [0.0, 0.0, 1.0]),
+                1 => at([0.0, 3.0 * a, 2.4 * b], [1.0, 0.0, 0.0]),
+                _ => at([4.0 * a, 3.0 * b, 1.2], [0.3, 0.1, 0.7]),
+            }
+        })
+        .collect();
+    let asked = Accuracy {
+        relative: 0.01,
+        rays: [64, 16384],
+        ..FINE
+    };
+    let got = gatherer.irradiance_at(&receivers, &asked);
+    let mut chi = 0.0;
+    for (k, r) in receivers.iter().enumerate() {
+        let factor = point_to_polygon(r.position.as_dvec3(), r.normal.as_dvec3(), &polygon);
+        let truth = 10.0 + 5991.0 * factor as f32;
+        let error = got.lux(k) - truth;
+        assert!(
+            got.errors[k] <= 0.0101 * truth,
+            "{k}: {}",
+            got.errors[k] / truth
+        );
+        chi += (error / got.errors[k].max(1e-4 * truth)).powi(2) / receivers.len() as f32;
+    }
+    assert!(
+        chi < 2.0,
+        "errors are {} times as large as stated",
+        chi.sqrt()
+    );
+    // By rays alone it would be about (1 - F) / F / 0.01^2, more than 100,000 each.
+    assert!(got.rays < 2000 * 200, "{} rays a receiver", got.rays / 200);
+}
+
 /// A furnished room: box, table, cupboard, two lamps of two layers, a made-up solution.
 fn furnished() -> (Arc<Scene>, Front, Solution) {
     let mut quads = cuboid([0.0; 3], [5.0, 4.0, 3.0], true).map_all(|q| q.reflecting(8));

@@ -21,7 +21,8 @@ use std::sync::Arc;
 /// Refinements of an adaptive mesh before it is taken as it is.
 const MOST_REFINEMENTS: u32 = 4;
 
-/// A receiver darker than this share of the scene's mean needs no relative accuracy of its own.
+/// An error below this share of the scene's typical illuminance is small enough, however dark a
+/// receiver is.
 const DARK: f32 = 0.002;
 
 /// A scene being solved.
@@ -318,6 +319,12 @@ impl Session {
         receivers: &[Receiver],
         accuracy: &Accuracy,
     ) -> Irradiance {
+        self.gatherer(solution).irradiance_at(receivers, accuracy)
+    }
+
+    /// What answers for many lots of receivers of one solution: cheaper than
+    /// [`Session::irradiance_at`] for each, with the same bits.
+    pub fn gatherer<'a>(&'a self, solution: &'a Solution) -> Gatherer<'a> {
         Gatherer::new(
             &self.scene,
             &self.front,
@@ -325,36 +332,38 @@ impl Session {
             solution,
             &self.lights,
         )
-        .irradiance_at(receivers, accuracy)
     }
 
     /// The accuracy that the settings ask for, with darkness measured against `solution`.
     pub fn accuracy(&self, solution: &Solution) -> Accuracy {
         Accuracy {
             relative: self.settings.error as f32,
-            floor_lux: DARK * self.mean_illuminance(solution),
-            rays: [64, 16384],
+            floor_lux: DARK * self.typical_illuminance(solution),
+            rays: [256, 16384],
             seed: self.settings.seed,
         }
     }
 
-    /// Area-weighted mean illuminance of the elements that reflect, lux: flux given back over
-    /// flux's share reflected.
-    fn mean_illuminance(&self, solution: &Solution) -> f32 {
-        let (mut lumens, mut area) = (0.0f64, 0.0f64);
-        for e in 0..self.front.len() {
-            let rho = self.front.reflectance[e].luminance();
-            if rho > 0.01 {
-                let a = self.front.area[e] as f64;
-                lumens += a * (solution.total(e).luminance() / rho) as f64;
-                area += a;
-            }
-        }
-        if area > 0.0 {
-            (lumens / area) as f32
-        } else {
-            0.0
-        }
+    /// Area-weighted median illuminance of the elements that reflect and are lit, lux: exitance
+    /// over reflectance. What most of the scene looks like, even when a lamp hangs close to a
+    /// wall or most of the light stays in another room.
+    fn typical_illuminance(&self, solution: &Solution) -> f32 {
+        let mut lit: Vec<(f32, f32)> = (0..self.front.len())
+            .filter_map(|e| {
+                let rho = self.front.reflectance[e].luminance();
+                let lux = solution.total(e).luminance() / rho;
+                (rho > 0.01 && lux > 0.0).then_some((lux, self.front.area[e]))
+            })
+            .collect();
+        lit.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let half = 0.5 * lit.iter().map(|l| l.1 as f64).sum::<f64>();
+        let mut below = 0.0;
+        lit.iter()
+            .find(|l| {
+                below += l.1 as f64;
+                below >= half
+            })
+            .map_or(0.0, |l| l.0)
     }
 
     /// Energy balance of the solution, lumens.

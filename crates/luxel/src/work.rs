@@ -4,7 +4,7 @@ use crate::session::Session;
 use crate::stage::Stage;
 use crate::watch::{Control, Status, Watch};
 use luxel_core::Solution;
-use luxel_gather::{Accuracy, Irradiance, Receiver};
+use luxel_gather::{Accuracy, Gatherer, Irradiance, Receiver};
 use std::time::Instant;
 
 /// Share of the time bound that the solver may use; the rest is for gathering.
@@ -15,6 +15,9 @@ const CHUNK: usize = 2048;
 
 /// Gather rays for a receiver when there is no time left.
 const HURRIED_RAYS: u32 = 16;
+
+/// Receivers that are tried first when there is a time bound.
+const PILOT: usize = 512;
 
 /// Whether a stretch came to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,8 +66,9 @@ pub fn solve(
     End::Reached
 }
 
-/// Irradiance at many receivers, in chunks. When stopped, what is left gets a few rays each,
-/// so that every value is there with its honest, larger error.
+/// Irradiance at many receivers, in chunks. With a time bound, a few are tried first, and all get
+/// the accuracy for which the time suffices. When stopped, what is left gets a few rays each, so
+/// that every value is there with its honest, larger error.
 pub fn gather(
     session: &mut Session,
     solution: &Solution,
@@ -84,12 +88,16 @@ pub fn gather(
     };
     let mut end = if stopped { End::Stopped } else { End::Reached };
     let mut status = Status::begin(Stage::Gather);
+    let gatherer = session.gatherer(solution);
+    let mut accuracy = *accuracy;
+    if let (Some(bound), End::Reached) = (bound, end) {
+        accuracy.relative *= slower(&gatherer, receivers, &accuracy, bound).sqrt() as f32;
+    }
     for (index, chunk) in receivers.chunks(CHUNK).enumerate() {
-        let mut accuracy = *accuracy;
         if end == End::Stopped {
             accuracy.rays = [HURRIED_RAYS; 2];
         }
-        let part = session.irradiance_at(solution, chunk, &accuracy);
+        let part = gatherer.irradiance_at(chunk, &accuracy);
         all.values.extend(part.values);
         all.layer_errors.extend(part.layer_errors);
         all.errors.extend(part.errors);
@@ -105,4 +113,15 @@ pub fn gather(
     }
     session.clock_mut().end(Stage::Gather);
     (all, end)
+}
+
+/// How many times `bound` seconds gathering at all receivers would take, at least 1, from
+/// [`PILOT`] of them spread over all.
+fn slower(gatherer: &Gatherer<'_>, receivers: &[Receiver], accuracy: &Accuracy, bound: f64) -> f64 {
+    let stride = receivers.len().div_ceil(PILOT).max(1);
+    let few: Vec<Receiver> = receivers.iter().step_by(stride).copied().collect();
+    let began = Instant::now();
+    gatherer.irradiance_at(&few, accuracy);
+    let all = began.elapsed().as_secs_f64() * receivers.len() as f64 / few.len().max(1) as f64;
+    (all / bound.max(1e-3)).max(1.0)
 }

@@ -13,8 +13,8 @@ use luxel_transport::{Hit, Ray, RayCaster};
 
 /// Height of the eye above the floor, metres.
 const EYE_M: f32 = 1.6;
-/// What is lower than this is a model or an object rather than a room, metres.
-const SMALL_M: f32 = 1.2;
+/// What is lower than this is a model or an object rather than a room to stand in, metres.
+const SMALL_M: f32 = 2.2;
 /// Places tried inside the bounds.
 const PLACES: usize = 64;
 /// Directions tried at each place.

@@ -20,6 +20,10 @@ pub(crate) const SUPER: usize = 2;
 /// Overlap of neighbouring triangles, samples.
 const OVERLAP: f64 = 0.02;
 
+/// Factor on 1 / depth within the overlap: a neighbour in the same plane that really covers the
+/// sample wins.
+const BEHIND: f32 = 1.0 - 1e-4;
+
 /// Nothing is seen.
 pub(crate) const NOTHING: u32 = u32::MAX;
 
@@ -84,8 +88,10 @@ impl Camera {
 
 /// A triangle on the screen.
 struct Setup {
-    /// Edge functions a x + b y + c, inside where not negative.
+    /// Edge functions a x + b y + c, inside where not negative, overlap included.
     edges: [[f64; 3]; 3],
+    /// What the overlap adds to each.
+    overlap: [f64; 3],
     /// 1 / depth as a function of x, y.
     depth: [f64; 3],
     /// First and last sample of its bounds.
@@ -216,6 +222,7 @@ fn project(camera: &Camera, points: [[f64; 3]; 3], id: u32, out: &mut Vec<Setup>
         return;
     }
     let mut edges = [[0.0; 3]; 3];
+    let mut overlap = [0.0; 3];
     let mut depth = [0.0; 3];
     for k in 0..3 {
         let (q, r) = (p[(k + 1) % 3], p[(k + 2) % 3]);
@@ -225,11 +232,12 @@ fn project(camera: &Camera, points: [[f64; 3]; 3], id: u32, out: &mut Vec<Setup>
         for (i, v) in [a, b, c].into_iter().enumerate() {
             depth[i] += v * p[k][2];
         }
-        let length = a.hypot(b);
-        edges[k] = [a, b, c + OVERLAP * length];
+        overlap[k] = OVERLAP * a.hypot(b);
+        edges[k] = [a, b, c + overlap[k]];
     }
     out.push(Setup {
         edges,
+        overlap,
         depth,
         low: [x.0, y.0],
         high: [x.1, y.1],
@@ -276,7 +284,15 @@ fn draw(
         let zs = &mut depth[(y - tile[1]) * TILE..(y - tile[1] + 1) * TILE];
         let ids = &mut band[(y - tile[1]) * size[0]..(y - tile[1] + 1) * size[0]];
         for x in from..=to {
-            let z = (s.depth[0] * (x as f64 + 0.5) + row) as f32;
+            let mut z = (s.depth[0] * (x as f64 + 0.5) + row) as f32;
+            if z <= zs[x - tile[0]] {
+                continue;
+            }
+            let u = x as f64 + 0.5;
+            let outside = |([a, b, c], extra): (&[f64; 3], &f64)| a * u + b * v + c < *extra;
+            if s.edges.iter().zip(&s.overlap).any(outside) {
+                z *= BEHIND;
+            }
             if z > zs[x - tile[0]] && (is_solid || covers(s.id, x, y)) {
                 zs[x - tile[0]] = z;
                 ids[x] = s.id;
