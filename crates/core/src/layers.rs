@@ -20,6 +20,13 @@ impl Layers {
     pub fn columns(&self) -> usize {
         BANDS * self.groups.len().max(1)
     }
+
+    /// One group in place of all.
+    pub fn merged(&self) -> Layers {
+        Layers {
+            groups: vec![self.groups.join(" + ")],
+        }
+    }
 }
 
 /// Sum over the groups: what all luminaires together give. `columns.len()` is a multiple of 3.

@@ -41,6 +41,21 @@ impl Solution {
         crate::layers::total(self.of(element))
     }
 
+    /// The same light with all groups in one.
+    pub fn merged(&self) -> Solution {
+        let merge = |rows: &[f32]| -> Vec<f32> {
+            rows.chunks_exact(self.columns().max(BANDS))
+                .flat_map(|row| crate::layers::total(row).to_array())
+                .collect()
+        };
+        Solution {
+            layers: self.layers.merged(),
+            exitance: merge(&self.exitance),
+            unshot: merge(&self.unshot),
+            ..*self
+        }
+    }
+
     /// Number of elements.
     pub fn len(&self) -> usize {
         self.exitance.len() / self.columns().max(BANDS)

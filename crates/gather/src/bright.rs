@@ -6,9 +6,9 @@
 //! Both together are unbiased for any cap. A ray down a room where a lamp almost touches the
 //! ceiling, or a door stands ajar to the sun, then brings a bounded value.
 //!
-//! The cap is the one for which a receiver in the middle of everything would see least noise:
-//! the standard deviation of what a ray brings, plus the noise of the lottery, which is
-//! [`LOTTERY`] of the mean of the rest.
+//! The cap is the one with the least noise for gather rays from elements all over the scene: the
+//! standard deviation of what a ray brings, plus the noise of the lottery, which is [`LOTTERY`]
+//! of the mean of the rest.
 //!
 //! Source: virtual area lights with bounded contributions, after [Keller97] and [Walter05]; the
 //! split is ours.
@@ -17,6 +17,9 @@ use crate::emitter::Emitter;
 use crate::lights::{Light, LightKind};
 use crate::tree::LightTree;
 use luxel_core::{Alpha, ElementId, Front, Rgb, Scene, Solution};
+use luxel_transport::sampling::cosine_hemisphere;
+use luxel_transport::{Hit, Ray, RayCaster, Sequence};
+use rayon::prelude::*;
 
 /// Standard deviation of one draw of the lottery as a share of its mean.
 const LOTTERY: f64 = 2.0;
@@ -25,6 +28,9 @@ const LOTTERY: f64 = 2.0;
 const WORTH: f64 = 0.25;
 /// Caps that are tried.
 const CAPS: usize = 96;
+/// Elements from which trial rays go, and rays from each.
+const ELEMENTS: usize = 4096;
+const RAYS: u32 = 16;
 
 /// The bright elements of a solution.
 pub(crate) struct Bright {
@@ -38,8 +44,13 @@ pub(crate) struct Bright {
 }
 
 impl Bright {
-    /// Finds the bright elements. Near linear in the elements.
-    pub fn new(scene: &Scene, front: &Front, solution: &Solution) -> Bright {
+    /// Finds the bright elements. Near linear in the elements; 65,536 rays at most.
+    pub fn new(
+        scene: &Scene,
+        front: &Front,
+        caster: &dyn RayCaster,
+        solution: &Solution,
+    ) -> Bright {
         let mut bright = Bright {
             kept: Vec::new(),
             lights: Vec::new(),
@@ -52,7 +63,7 @@ impl Bright {
         let exitance: Vec<f32> = (0..front.len())
             .map(|e| solution.total(e).luminance().max(0.0))
             .collect();
-        let Some(cap) = best_cap(&exitance, &front.area) else {
+        let Some(cap) = best_cap(brought(scene, front, caster, &exitance)) else {
             return bright;
         };
         bright.kept = vec![1.0; front.len()];
@@ -100,28 +111,59 @@ impl Bright {
     }
 }
 
-/// The cap with the least noise, or `None` when it is hardly less than without one.
-fn best_cap(exitance: &[f32], area: &[f32]) -> Option<f32> {
-    let mut order: Vec<(f32, f32)> = exitance.iter().copied().zip(area.iter().copied()).collect();
-    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let whole: f64 = order.iter().map(|o| o.1 as f64).sum();
-    let highest = order.last()?.0;
-    if whole <= 0.0 || highest <= 0.0 {
+/// What trial rays bring: exitance of the elements that they meet, 0 where they meet none.
+fn brought(scene: &Scene, front: &Front, caster: &dyn RayCaster, exitance: &[f32]) -> Vec<f32> {
+    let stride = front.len().div_ceil(ELEMENTS).max(1);
+    let offset = caster.offset_m();
+    let chosen: Vec<usize> = (0..front.len()).step_by(stride).collect();
+    chosen
+        .par_iter()
+        .flat_map_iter(|&e| {
+            let (point, normal) = front.point_on(scene, ElementId::from(e), [0.5, 0.5]);
+            let sequence = Sequence::new(0x2545_f491, e as u32);
+            let rays: Vec<Ray> = (0..RAYS)
+                .map(|i| Ray {
+                    origin: point + normal * offset,
+                    t_min: 0.0,
+                    direction: cosine_hemisphere(sequence.point2(i), normal),
+                    t_max: f32::INFINITY,
+                })
+                .collect();
+            let mut hits = vec![Hit::MISS; rays.len()];
+            caster.closest(&rays, &mut hits);
+            rays.into_iter().zip(hits).map(|(ray, hit)| {
+                if !hit.is_hit() {
+                    return 0.0;
+                }
+                let at = ray.origin + ray.direction * hit.t;
+                front
+                    .element_at(hit.triangle as usize, hit.side, at)
+                    .map_or(0.0, |e| exitance[e.index()])
+            })
+        })
+        .collect()
+}
+
+/// The cap with the least noise for these values, or `None` when that is hardly less than without.
+fn best_cap(mut values: Vec<f32>) -> Option<f32> {
+    values.sort_unstable_by(f32::total_cmp);
+    let highest = *values.last()?;
+    if highest <= 0.0 {
         return None;
     }
-    // Sums of area, flux and square over the elements from the darkest on.
-    let mut sums = Vec::with_capacity(order.len() + 1);
+    // Sums of count, value and square from the darkest on.
+    let mut sums = Vec::with_capacity(values.len() + 1);
     let mut sum = [0.0f64; 3];
     sums.push(sum);
-    for &(b, a) in &order {
-        let (b, a) = (b as f64, a as f64 / whole);
-        sum = [sum[0] + a, sum[1] + a * b, sum[2] + a * b * b];
+    let each = 1.0 / values.len() as f64;
+    for b in values.iter().map(|&b| b as f64) {
+        sum = [sum[0] + each, sum[1] + each * b, sum[2] + each * b * b];
         sums.push(sum);
     }
     let noise = |cap: f64| {
-        let k = order.partition_point(|o| (o.0 as f64) <= cap);
-        let [a, flux, square] = sums[k];
-        let above = 1.0 - a;
+        let k = values.partition_point(|&b| b as f64 <= cap);
+        let [below, flux, square] = sums[k];
+        let above = 1.0 - below;
         let mean = flux + above * cap;
         let variance = square + above * cap * cap - mean * mean;
         variance.max(0.0).sqrt() + LOTTERY * (sum[1] - mean).max(0.0)
@@ -147,16 +189,15 @@ mod tests {
 
     #[test]
     fn a_small_hot_spot_is_capped_and_even_light_is_not() {
-        // 1 % of the area with a hundred times the exitance: half of all flux.
-        let mut exitance: Vec<f32> = (0..1000)
+        // One ray in a hundred brings a hundred times as much: half of all light.
+        let mut values: Vec<f32> = (0..1000)
             .map(|k| 0.8 + 0.4 * (k % 7) as f32 / 6.0)
             .collect();
-        let area = vec![0.1; 1000];
-        assert_eq!(best_cap(&exitance, &area), None);
-        exitance[..10].fill(100.0);
-        let cap = best_cap(&exitance, &area).expect("a hot spot");
+        assert_eq!(best_cap(values.clone()), None);
+        values[..10].fill(100.0);
+        let cap = best_cap(values).expect("a hot spot");
         assert!((0.8..3.0).contains(&cap), "{cap}");
-        assert_eq!(best_cap(&[0.0; 4], &[1.0; 4]), None);
-        assert_eq!(best_cap(&[], &[]), None);
+        assert_eq!(best_cap(vec![0.0; 4]), None);
+        assert_eq!(best_cap(Vec::new()), None);
     }
 }

@@ -95,7 +95,7 @@ impl<'a> Gatherer<'a> {
             caster,
             solution,
             lights,
-            bright: Bright::new(scene, front, solution),
+            bright: Bright::new(scene, front, caster, solution),
             outside,
             dark,
         }

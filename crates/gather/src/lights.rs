@@ -9,6 +9,7 @@
 
 use crate::emitter::{Emitter, EmitterView};
 use crate::tree::LightTree;
+use luxel_core::layers::BANDS;
 use luxel_core::quantity::{LAMBERTIAN, LUMINANCE_WEIGHTS};
 use luxel_core::{
     DVec3, ElementId, Front, Luminaire, LuminaireKind, Patch, PatchId, Polygon, Rgb, Scene, Shape,
@@ -129,6 +130,14 @@ impl DirectLights {
             columns,
             direct,
         }
+    }
+
+    /// The same lights with all groups in one.
+    pub fn merged(&self) -> DirectLights {
+        let mut merged = self.clone();
+        merged.columns = BANDS;
+        merged.lights.iter_mut().for_each(|l| l.group = 0);
+        merged
     }
 
     /// Whether the own emission of a patch is computed here, and so must not be in the emission

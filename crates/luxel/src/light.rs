@@ -111,14 +111,17 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
     }
     let accuracy = session.accuracy(&solution);
     let receivers = std::mem::take(&mut mesh.receivers);
+    // The picture needs the sum of the groups alone.
+    let (merged, lights) = (solution.merged(), session.lights().merged());
     let (irradiance, gathered) = work::gather(
-        &mut session,
-        &solution,
+        &session.gatherer(&merged, &lights),
+        job.settings.time,
         &receivers,
         &accuracy,
         watch,
         solved == End::Stopped && job.settings.time.is_none(),
     );
+    session.clock_mut().end(Stage::Gather);
     mesh.receivers = receivers;
     mesh.set_irradiance(&irradiance);
 
@@ -192,7 +195,10 @@ fn first_picture(
         rays: [FIRST_RAYS; 2],
         ..session.accuracy(&displayed)
     };
-    let irradiance = session.irradiance_at(&displayed, &mesh.receivers, &accuracy);
+    let lights = session.lights().merged();
+    let irradiance = session
+        .gatherer(&displayed.merged(), &lights)
+        .irradiance_at(&mesh.receivers, &accuracy);
     mesh.set_irradiance(&irradiance);
     let written = write_picture(session, mesh, view, folder);
     session.clock_mut().end(Stage::Write);

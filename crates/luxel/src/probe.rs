@@ -1,6 +1,7 @@
 //! Illuminance at points: solve, then gather at the receivers.
 
 use crate::session::Session;
+use crate::stage::Stage;
 use crate::watch::Watch;
 use crate::work::{self, End};
 use luxel_gather::{Irradiance, Receiver};
@@ -18,8 +19,15 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
     let solved = work::solve(session, watch, |_| ());
     let solution = session.solution();
     let accuracy = session.accuracy(&solution);
-    let (irradiance, gathered) =
-        work::gather(session, &solution, receivers, &accuracy, watch, false);
+    let (irradiance, gathered) = work::gather(
+        &session.gatherer(&solution, session.lights()),
+        session.settings().time,
+        receivers,
+        &accuracy,
+        watch,
+        false,
+    );
+    session.clock_mut().end(Stage::Gather);
     let columns = irradiance.columns;
     let met = irradiance.errors.iter().enumerate().all(|(k, &error)| {
         let row = &irradiance.values[k * columns..(k + 1) * columns];

@@ -319,19 +319,18 @@ impl Session {
         receivers: &[Receiver],
         accuracy: &Accuracy,
     ) -> Irradiance {
-        self.gatherer(solution).irradiance_at(receivers, accuracy)
+        self.gatherer(solution, &self.lights)
+            .irradiance_at(receivers, accuracy)
     }
 
-    /// What answers for many lots of receivers of one solution: cheaper than
-    /// [`Session::irradiance_at`] for each, with the same bits.
-    pub fn gatherer<'a>(&'a self, solution: &'a Solution) -> Gatherer<'a> {
-        Gatherer::new(
-            &self.scene,
-            &self.front,
-            &self.caster,
-            solution,
-            &self.lights,
-        )
+    /// What answers for many lots of receivers: cheaper than [`Session::irradiance_at`] for each,
+    /// with the same bits. `lights` are [`Session::lights`], or merged as `solution` is.
+    pub fn gatherer<'a>(
+        &'a self,
+        solution: &'a Solution,
+        lights: &'a DirectLights,
+    ) -> Gatherer<'a> {
+        Gatherer::new(&self.scene, &self.front, &self.caster, solution, lights)
     }
 
     /// The accuracy that the settings ask for, with darkness measured against `solution`.
@@ -344,26 +343,22 @@ impl Session {
         }
     }
 
-    /// Area-weighted median illuminance of the elements that reflect and are lit, lux: exitance
-    /// over reflectance. What most of the scene looks like, even when a lamp hangs close to a
-    /// wall or most of the light stays in another room.
+    /// Median illuminance of the elements that reflect and are lit, lux: exitance over
+    /// reflectance. What most of the scene looks like, even when a lamp hangs close to a wall,
+    /// most of the light stays in another room, or most of the area is a dark field outside.
     fn typical_illuminance(&self, solution: &Solution) -> f32 {
-        let mut lit: Vec<(f32, f32)> = (0..self.front.len())
+        let mut lit: Vec<f32> = (0..self.front.len())
             .filter_map(|e| {
                 let rho = self.front.reflectance[e].luminance();
                 let lux = solution.total(e).luminance() / rho;
-                (rho > 0.01 && lux > 0.0).then_some((lux, self.front.area[e]))
+                (rho > 0.01 && lux > 0.0).then_some(lux)
             })
             .collect();
-        lit.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let half = 0.5 * lit.iter().map(|l| l.1 as f64).sum::<f64>();
-        let mut below = 0.0;
-        lit.iter()
-            .find(|l| {
-                below += l.1 as f64;
-                below >= half
-            })
-            .map_or(0.0, |l| l.0)
+        let middle = lit.len() / 2;
+        if lit.is_empty() {
+            return 0.0;
+        }
+        *lit.select_nth_unstable_by(middle, f32::total_cmp).1
     }
 
     /// Energy balance of the solution, lumens.
@@ -473,6 +468,7 @@ fn mesh_settings(scene: &Scene, settings: &Settings) -> MeshSettings {
     if let Some(edge) = settings.element_edge_m {
         mesh.max_area_m2 = (edge * edge) as f32;
         mesh.max_elements = usize::MAX;
+        mesh.max_per_region = usize::MAX;
     }
     mesh
 }

@@ -3,9 +3,8 @@
 use crate::session::Session;
 use crate::stage::Stage;
 use crate::watch::{Control, Status, Watch};
-use luxel_core::Solution;
 use luxel_gather::{Accuracy, Gatherer, Irradiance, Receiver};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Share of the time bound that the solver may use; the rest is for gathering.
 const SOLVE_SHARE: f64 = 0.6;
@@ -70,28 +69,21 @@ pub fn solve(
 /// the accuracy for which the time suffices. When stopped, what is left gets a few rays each, so
 /// that every value is there with its honest, larger error.
 pub fn gather(
-    session: &mut Session,
-    solution: &Solution,
+    gatherer: &Gatherer<'_>,
+    time: Option<Duration>,
     receivers: &[Receiver],
     accuracy: &Accuracy,
     watch: &mut Watch<'_>,
     stopped: bool,
 ) -> (Irradiance, End) {
     let began = Instant::now();
-    let bound = session
-        .settings()
-        .time
-        .map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
-    let mut all = Irradiance {
-        columns: solution.columns(),
-        ..Irradiance::default()
-    };
+    let bound = time.map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
+    let mut all = gatherer.irradiance_at(&[], accuracy);
     let mut end = if stopped { End::Stopped } else { End::Reached };
     let mut status = Status::begin(Stage::Gather);
-    let gatherer = session.gatherer(solution);
     let mut accuracy = *accuracy;
     if let (Some(bound), End::Reached) = (bound, end) {
-        accuracy.relative *= slower(&gatherer, receivers, &accuracy, bound).sqrt() as f32;
+        accuracy.relative *= slower(gatherer, receivers, &accuracy, bound).sqrt() as f32;
     }
     for (index, chunk) in receivers.chunks(CHUNK).enumerate() {
         if end == End::Stopped {
@@ -111,7 +103,6 @@ pub fn gather(
             end = End::Stopped;
         }
     }
-    session.clock_mut().end(Stage::Gather);
     (all, end)
 }
 

@@ -11,6 +11,9 @@ pub struct MeshSettings {
     pub min_edge_m: f32,
     /// Most elements.
     pub max_elements: usize,
+    /// Most elements of one flat region at first: a lawn of hectares around a room has larger
+    /// elements than the room.
+    pub max_per_region: usize,
     /// Whether triangles much smaller than an element share one (clusters).
     pub cluster: bool,
 }

@@ -120,7 +120,7 @@ pub(crate) fn mesh(
                 .par_iter()
                 .filter(|f| !(settings.cluster && is_tiny(f, area)))
                 .map(|f| {
-                    let [nu, nv] = grid(f, area).map(density);
+                    let [nu, nv] = grid(f, settings.area_in(f, area)).map(density);
                     nu as usize * nv as usize * sides(f)
                 })
                 .sum()
@@ -139,7 +139,7 @@ pub(crate) fn mesh(
             directions,
             cos_cone,
         };
-        plan = cut(scene, &flats, settings.cluster, limits, density);
+        plan = cut(scene, &flats, settings, limits, density);
         let count = plan.elements(scene, &flats, &lit);
         if count <= settings.max_elements || area >= whole || !settings.cluster {
             break;
@@ -162,7 +162,7 @@ const ROUNDS: usize = 16;
 fn cut(
     scene: &Scene,
     flats: &Flats,
-    cluster: bool,
+    settings: &MeshSettings,
     limits: Limits,
     density: impl Fn(u32) -> u32,
 ) -> Plan {
@@ -172,7 +172,7 @@ fn cut(
     // cluster would join the two sides of a contact line.
     let mut tiny: Vec<(u32, u32, u32)> = Vec::new();
     for (i, flat) in flats.list.iter().enumerate() {
-        if cluster && is_tiny(flat, area) {
+        if settings.cluster && is_tiny(flat, area) {
             let region = if flat.region_area > area {
                 flat.region
             } else {
@@ -180,8 +180,10 @@ fn cut(
             };
             tiny.push((flat.surface.0, region, i as u32));
         } else {
-            plan.patches
-                .push((i as u32, grid(flat, area).map(&density)));
+            plan.patches.push((
+                i as u32,
+                grid(flat, settings.area_in(flat, area)).map(&density),
+            ));
         }
     }
     tiny.par_sort_unstable();
@@ -240,6 +242,13 @@ fn is_tiny(flat: &Flat, area: f32) -> bool {
         .max(v.length_squared())
         .max((u - v).length_squared());
     flat.area < TINY * area && longest.max(across) <= 4.0 * area
+}
+
+impl MeshSettings {
+    /// Largest element area within a flat shape, m², where it is `area` elsewhere.
+    fn area_in(&self, flat: &Flat, area: f32) -> f32 {
+        area.max(flat.region_area / self.max_per_region.max(1) as f32)
+    }
 }
 
 /// Cells along both edges of a flat shape for elements no larger than `area`.

@@ -20,6 +20,7 @@ fn settings(max_area_m2: f32) -> MeshSettings {
         max_area_m2,
         min_edge_m: 0.01,
         max_elements: 100_000,
+        max_per_region: usize::MAX,
         cluster: true,
     }
 }

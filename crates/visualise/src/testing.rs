@@ -14,6 +14,7 @@ pub fn front(scene: &Scene, max_area_m2: f32, cluster: bool) -> Front {
         max_area_m2,
         min_edge_m: 1e-3,
         max_elements: 100_000,
+        max_per_region: usize::MAX,
         cluster,
     };
     Uniform::new(settings).initial(scene)
