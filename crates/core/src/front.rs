@@ -560,6 +560,15 @@ impl Patch {
     }
 }
 
+impl Patch {
+    /// Patch coordinates `(s, t)` of the foot of a world point. Not for a cluster, whose answer
+    /// means nothing.
+    pub fn coordinates(&self, point: Vec3) -> [f32; 2] {
+        let rel = point - self.point(0.0, 0.0);
+        [rel.dot(self.dual[0]), rel.dot(self.dual[1])]
+    }
+}
+
 #[inline]
 fn inset(u: f32) -> f32 {
     INSET + u * (1.0 - 2.0 * INSET)

@@ -10,8 +10,9 @@
 use crate::sides::lit_side;
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::texture::{Wrap, linear_from_srgb};
-use luxel_core::{Alpha, Front, Rgb, Scene, Shape, Texture, TextureId, Vec2, Vec3};
+use luxel_core::{Alpha, Front, Patch, Rgb, Scene, Shape, Texture, TextureId, Vec2, Vec3};
 use rayon::prelude::*;
+use std::collections::HashMap;
 
 /// Samples along an edge of an element, least and most.
 const SAMPLES: [u32; 2] = [4, 16];
@@ -40,7 +41,7 @@ pub fn shade(scene: &Scene, front: &mut Front) {
             .map(|(t, used)| used.then(|| Pyramid::new(t)))
             .collect()
     };
-    let sources = Sources::of(front);
+    let sources = Sources::of(scene, front);
     let values: Vec<(Rgb, Rgb)> = (0..front.len())
         .into_par_iter()
         .map(|e| element(scene, front, &pictures, &sources, e))
@@ -89,7 +90,7 @@ fn element(
                 sample(
                     scene,
                     pictures,
-                    &[c.triangle],
+                    &|_, _| std::slice::from_ref(&c.triangle),
                     scene.corners(t),
                     true,
                     2,
@@ -105,8 +106,9 @@ fn element(
                 patch.point(s0, t0 + dt),
             ];
             let triangle = matches!(shape, Shape::Triangle { .. });
+            let near = |x: f32, y: f32| sources.near(id.index(), [s0 + x * ds, t0 + y * dt]);
             sample(
-                scene, pictures, triangles, corners, triangle, SAMPLES[0], 1.0, &mut mean,
+                scene, pictures, &near, corners, triangle, SAMPLES[0], 1.0, &mut mean,
             );
         }
     }
@@ -118,18 +120,19 @@ fn element(
     )
 }
 
-/// Adds samples of the parallelogram or triangle `corners`, which lies in `triangles`.
-fn sample(
+/// Adds samples of the parallelogram or triangle `corners`. `near` gives the source triangles among
+/// which the one lies that holds the place (x, y) along its edges.
+fn sample<'a>(
     scene: &Scene,
     pictures: &[Option<Pyramid>],
-    triangles: &[u32],
+    near: &dyn Fn(f32, f32) -> &'a [u32],
     [a, b, c]: [Vec3; 3],
     triangle: bool,
     least: u32,
     weight: f64,
     mean: &mut Mean,
 ) {
-    let Some(&first) = triangles.first() else {
+    let Some(&first) = near(1.0 / 3.0, 1.0 / 3.0).first() else {
         return;
     };
     let finish = scene.finish_of(first as usize);
@@ -185,7 +188,7 @@ fn sample(
             };
             let (x, y) = (x / n[0] as f32, y / n[1] as f32);
             let p = a + (b - a) * x + (c - a) * y;
-            let (t, u, v) = locate(scene, triangles, p);
+            let (t, u, v) = locate(scene, near(x, y), p);
             let coverage = scene.coverage_at(t as usize, u, v);
             let uv = scene.uv_at(t as usize, u, v);
             let (r, l) = if finish.alpha == Alpha::Opaque {
@@ -247,10 +250,70 @@ impl Mean {
 struct Sources {
     offsets: Vec<u32>,
     triangles: Vec<u32>,
+    /// Of patches with many triangles, those near each place.
+    finders: HashMap<u32, Finder>,
+}
+
+/// Source triangles of one patch by the cell of a regular grid over its coordinates.
+struct Finder {
+    /// Cells along each edge.
+    cells: usize,
+    start: Vec<u32>,
+    list: Vec<u32>,
+}
+
+/// Patches with more triangles than this have a finder.
+const FEW: usize = 8;
+
+impl Finder {
+    /// About as many cells as triangles.
+    fn new(scene: &Scene, patch: &Patch, triangles: &[u32]) -> Finder {
+        let cells = (triangles.len() as f32).sqrt().ceil().clamp(1.0, 1024.0) as usize;
+        let spans: Vec<[usize; 4]> = triangles
+            .iter()
+            .map(|&t| {
+                let st = scene
+                    .corners(t as usize)
+                    .map(|p| Vec2::from(patch.coordinates(p)));
+                // A hair wider, for places on an edge.
+                let low = st[0].min(st[1]).min(st[2]) - 1e-4;
+                let high = st[0].max(st[1]).max(st[2]) + 1e-4;
+                let cell = |v: f32| Finder::cell(cells, v);
+                [cell(low.x), cell(high.x), cell(low.y), cell(high.y)]
+            })
+            .collect();
+        let each = |span: &[usize; 4]| {
+            let [i0, i1, j0, j1] = *span;
+            (j0..=j1).flat_map(move |j| (i0..=i1).map(move |i| j * cells + i))
+        };
+        let mut start = vec![0u32; cells * cells + 1];
+        spans.iter().flat_map(each).for_each(|c| start[c + 1] += 1);
+        for c in 1..start.len() {
+            start[c] += start[c - 1];
+        }
+        let mut at = start.clone();
+        let mut list = vec![0; start[cells * cells] as usize];
+        for (span, &t) in spans.iter().zip(triangles) {
+            for c in each(span) {
+                list[at[c] as usize] = t;
+                at[c] += 1;
+            }
+        }
+        Finder { cells, start, list }
+    }
+
+    fn cell(cells: usize, v: f32) -> usize {
+        ((v * cells as f32) as usize).min(cells - 1)
+    }
+
+    fn near(&self, [s, t]: [f32; 2]) -> &[u32] {
+        let c = Finder::cell(self.cells, t) * self.cells + Finder::cell(self.cells, s);
+        &self.list[self.start[c] as usize..self.start[c + 1] as usize]
+    }
 }
 
 impl Sources {
-    fn of(front: &Front) -> Sources {
+    fn of(scene: &Scene, front: &Front) -> Sources {
         let mut offsets = vec![0u32; front.patches.len() + 1];
         for id in front.patch_of.iter().flatten().filter(|id| id.is_some()) {
             offsets[id.index() + 1] += 1;
@@ -266,7 +329,33 @@ impl Sources {
                 at[id.index()] += 1;
             }
         }
-        Sources { offsets, triangles }
+        let mut sources = Sources {
+            offsets,
+            triangles,
+            finders: HashMap::new(),
+        };
+        sources.finders = (0..front.patches.len())
+            .into_par_iter()
+            .filter(|&p| {
+                let many = sources.of_patch(p).len() > FEW;
+                many && !matches!(front.patches[p].shape, Shape::Cluster { .. })
+            })
+            .map(|p| {
+                (
+                    p as u32,
+                    Finder::new(scene, &front.patches[p], sources.of_patch(p)),
+                )
+            })
+            .collect();
+        sources
+    }
+
+    /// Source triangles of a patch among which the one at `(s, t)` is.
+    fn near(&self, patch: usize, st: [f32; 2]) -> &[u32] {
+        let found = self.finders.get(&(patch as u32)).map(|f| f.near(st));
+        found
+            .filter(|f| !f.is_empty())
+            .unwrap_or_else(|| self.of_patch(patch))
     }
 
     fn of_patch(&self, patch: usize) -> &[u32] {
