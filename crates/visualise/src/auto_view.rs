@@ -31,6 +31,8 @@ const ASPECT: f32 = 16.0 / 9.0;
 const GRID: [usize; 2] = [12, 7];
 /// Luminaires and emitters to which sight is tested, the strongest first.
 const LAMPS: usize = 4;
+/// And those around which places are tried: in a large building the lit rooms are a small part.
+const LIT_PLACES: usize = 16;
 
 /// The first view of the scene, or [`auto_view`].
 pub fn first_view(scene: &Scene, caster: &dyn RayCaster) -> View {
@@ -50,11 +52,12 @@ pub fn auto_view(scene: &Scene, caster: &dyn RayCaster) -> View {
         let forward = up.any_orthonormal_vector();
         return named(Vec3::ZERO, forward, up, INSIDE_ANGLE);
     }
-    let mut candidates = inside(caster, low, high, up);
+    let lamps = lamps(scene);
+    let mut candidates = inside(caster, low, high, up, &lamps);
     let within = candidates.len();
     candidates.extend(outside(low, high, up));
-    let lamps = lamps(scene);
-    let mut scores = judge(scene, caster, &candidates, &lamps, size);
+    let lamps = &lamps[..lamps.len().min(LAMPS)];
+    let mut scores = judge(scene, caster, &candidates, lamps, size);
     if (high - low).dot(up).abs() < SMALL_M {
         // Nobody stands in a model; but a closed one shows nothing from outside.
         scores[..within].iter_mut().for_each(|s| *s *= 0.5);
@@ -106,13 +109,24 @@ fn halton(mut k: usize, base: usize) -> f32 {
 }
 
 /// Eyes that stand on a floor with a wall behind.
-fn inside(caster: &dyn RayCaster, low: Vec3, high: Vec3, up: Vec3) -> Vec<View> {
+fn inside(
+    caster: &dyn RayCaster,
+    low: Vec3,
+    high: Vec3,
+    up: Vec3,
+    lamps: &[(Vec3, bool)],
+) -> Vec<View> {
     let size = (high - low).length();
     let across = up.any_orthonormal_vector();
     let along = up.cross(across);
-    let points: Vec<Vec3> = (1..=PLACES)
+    let mut points: Vec<Vec3> = (1..=PLACES)
         .map(|k| low + (high - low) * Vec3::new(halton(k, 2), halton(k, 3), halton(k, 5)))
         .collect();
+    // A step below each lamp, and two to one side.
+    let step = (0.02 * size).min(1.0);
+    for &(lamp, _) in lamps.iter().filter(|l| !l.1) {
+        points.extend([lamp - up * step, lamp - up * step + across * (2.0 * step)]);
+    }
     let vertical: Vec<Ray> = points
         .iter()
         .flat_map(|&p| [ray(p, -up), ray(p, up)])
@@ -217,7 +231,7 @@ fn lamps(scene: &Scene) -> Vec<(Vec3, bool)> {
         }
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.iter().take(LAMPS).map(|f| (f.1, f.2)).collect()
+    found.iter().take(LIT_PLACES).map(|f| (f.1, f.2)).collect()
 }
 
 /// How good each view is.
@@ -273,7 +287,7 @@ fn judge(
             if !hit.is_hit() {
                 // Empty: neither lit nor ugly. Around an object there is much of it.
                 sum += if view.vertical_angle == OUTSIDE_ANGLE {
-                    0.25
+                    0.15
                 } else {
                     0.1
                 };
