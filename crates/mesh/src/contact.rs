@@ -6,7 +6,9 @@
 //! one walk each). Corners within the tolerance of the plane lie in it. The line of contact is an
 //! edge that lies in the plane, or the chord where the triangle crosses it; end points depend only
 //! on the corner or the edge and the plane, so that neighbours give the same bits and chords join
-//! to outlines. Outlines smaller than asked are dropped.
+//! to outlines. A face that runs parallel to a group at a small distance (a lamp a hair below the
+//! ceiling, a picture before the wall) is projected: light is shut in between as if it touched.
+//! Outlines smaller than asked are dropped.
 
 use crate::flat::{NONE, Plane, adjacency};
 use luxel_core::{DVec3, Scene, Vec3};
@@ -113,12 +115,13 @@ pub(crate) fn contacts(
     groups: &Groups,
     blocks: &[bool],
     tolerance_m: f64,
+    gap_m: f64,
     min_contact_m: f32,
 ) -> Contacts {
     let large: Vec<u32> = (0..scene.triangles.len() as u32)
         .filter(|&t| groups.of[t as usize] != NONE)
         .collect();
-    let tree = Tree::new(scene, large, tolerance_m as f32);
+    let tree = Tree::new(scene, large, gap_m.max(tolerance_m) as f32);
     let found: Vec<(Vec<Contact>, Vec<u32>)> = (0..scene.triangles.len())
         .into_par_iter()
         .with_min_len(1024)
@@ -132,7 +135,7 @@ pub(crate) fn contacts(
                             groups,
                             q as u32,
                             t,
-                            tolerance_m,
+                            [tolerance_m, gap_m],
                             &mut lines,
                             &mut doubled,
                         );
@@ -171,7 +174,7 @@ fn meet(
     groups: &Groups,
     q: u32,
     t: u32,
-    tolerance: f64,
+    [tolerance, gap]: [f64; 2],
     lines: &mut Vec<Contact>,
     doubled: &mut Vec<u32>,
 ) {
@@ -203,10 +206,12 @@ fn meet(
         }
     };
     let zeros = d.iter().filter(|&&d| d == 0.0).count();
+    let (low, high) = (d[0].min(d[1]).min(d[2]), d[0].max(d[1]).max(d[2]));
+    let is_near = high - low <= tolerance && high.max(-low) <= gap;
     let above = d.iter().filter(|&&d| d > 0.0).count();
     match zeros {
-        3 => {
-            if same_place(scene, q, t, plane.normal) {
+        _ if zeros == 3 || is_near => {
+            if zeros == 3 && same_place(scene, q, t, plane.normal) {
                 doubled.push(t);
             }
             // The outline of a coplanar group; inner edges of it mean nothing.

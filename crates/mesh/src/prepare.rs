@@ -28,6 +28,8 @@ pub struct PrepareSettings {
     /// Distance below which things touch and points are the same, metres. At most 1e-4 of the
     /// scene's diagonal and at least eight units in the last place of its coordinates are used.
     pub tolerance_m: f32,
+    /// Parallel faces nearer than this shut light in between, metres.
+    pub gap_m: f32,
     /// Smaller triangles are not cut, m².
     pub min_area_m2: f32,
     /// Smaller outlines of contact do not cut, metres (diagonal).
@@ -36,12 +38,19 @@ pub struct PrepareSettings {
     pub max_lines: usize,
 }
 
+/// A gap counts as contact up to this share of an element's edge: what is lit within would be
+/// spread over the part of the element that lies outside.
+const GAP: f32 = 0.1;
+/// And not more than this, metres: what is thicker has sides that touch.
+const WIDEST_GAP_M: f32 = 0.005;
+
 impl PrepareSettings {
     /// What suits a mesh: triangles from a quarter of an element on, contacts from an
     /// element's edge on.
     pub fn for_mesh(mesh: &MeshSettings) -> PrepareSettings {
         PrepareSettings {
             tolerance_m: 2e-4,
+            gap_m: (GAP * mesh.max_area_m2.sqrt()).min(WIDEST_GAP_M),
             min_area_m2: 0.25 * mesh.max_area_m2,
             min_contact_m: mesh.max_area_m2.sqrt(),
             max_lines: 2000,
@@ -75,8 +84,14 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         .map(|t| !finish(t).transparent)
         .collect();
     let groups = Groups::of(&scene, &lit, settings.min_area_m2, tolerance);
-    let Contacts { lines, doubled } =
-        contacts(&scene, &groups, &blocks, tolerance, settings.min_contact_m);
+    let Contacts { lines, doubled } = contacts(
+        &scene,
+        &groups,
+        &blocks,
+        tolerance,
+        settings.gap_m as f64,
+        settings.min_contact_m,
+    );
     warnings.add(
         scene.name.as_str(),
         "large triangles lie in the same place as another surface; the light there is uncertain",
