@@ -168,12 +168,22 @@ fn cut(
 ) -> Plan {
     let area = limits.area_m2;
     let mut plan = Plan::default();
-    // (surface, region) of each tiny shape: pieces of a larger region stay within it, or a
-    // cluster would join the two sides of a contact line.
+    // (surface, region) of each tiny shape: pieces of a larger region, or of a triangle that was
+    // cut, stay within theirs, or a cluster would join the two sides of a contact line.
+    let source = |t: usize| {
+        let id = scene.source_triangle.get(t)?;
+        Some((scene.surface_of[t], *id))
+    };
+    let is_piece = |t: u32| {
+        let t = t as usize;
+        source(t) == source(t + 1) || t > 0 && source(t) == source(t - 1)
+    };
     let mut tiny: Vec<(u32, u32, u32)> = Vec::new();
     for (i, flat) in flats.list.iter().enumerate() {
         if settings.cluster && is_tiny(flat, area) {
-            let region = if flat.region_area > area {
+            let run = flat.triangles.start as usize..flat.triangles.end as usize;
+            let cut = flats.triangles[run].iter().any(|&t| is_piece(t));
+            let region = if cut || flat.region_area > area {
                 flat.region
             } else {
                 u32::MAX
