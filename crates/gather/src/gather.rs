@@ -185,7 +185,8 @@ impl<'a> Gatherer<'a> {
         s.bright.reset(columns);
         s.bright_lots.items.clear();
         s.bright_lots.close();
-        shadow::strong_lights(self.lights, &site, &mut s.lots, &mut s.strong);
+        let least = 0.5 * accuracy.relative;
+        shadow::strong_lights(self.lights, &site, least, &mut s.lots, &mut s.strong);
         let unoccluded: f64 = s.strong.iter().map(|l| l.lux).sum();
         for light in &mut s.strong {
             let until = Strong::first_round(light.lux / unoccluded);

@@ -9,7 +9,7 @@
 //! occluder which matters is found.
 
 use crate::emitter::EmitterView;
-use crate::lights::{DirectLights, Light, View, photometric};
+use crate::lights::{DirectLights, Light, LightKind, View, photometric};
 use crate::tree::{FINE, Item, LightTree, Lots, sort};
 use luxel_core::Vec3;
 use luxel_core::quantity::LUMINANCE_WEIGHTS;
@@ -24,6 +24,8 @@ pub(crate) const SUBSETS: usize = 8;
 pub(crate) const STUDENT: f64 = (SUBSETS as f64 - 1.0) / (SUBSETS as f64 - 3.0);
 /// Strongest lights that are computed one by one.
 const STRONG: usize = 24;
+/// So many are, however weak.
+const ALWAYS: usize = 3;
 
 /// Share of a ray's light that is feared to be missed while all rays agree.
 pub(crate) const MISSED: f64 = 0.3;
@@ -262,10 +264,12 @@ fn sample_view(view: &EmitterView<'_>, [u, v]: [f32; 2]) -> (Vec3, f64) {
     view.sample([u as f64 + HALF, v as f64 + HALF])
 }
 
-/// Finds the strong lights of a receiver; leaves the weak ones in `lots`, closed.
+/// Finds the strong lights of a receiver; leaves the weak ones in `lots`, closed. A light with size
+/// and less than `least` of all guesses is weak, but for the first [`ALWAYS`].
 pub(crate) fn strong_lights<'a>(
     lights: &'a DirectLights,
     site: &Site,
+    least: f32,
     lots: &mut Lots,
     strong: &mut Vec<Strong<'a>>,
 ) {
@@ -275,10 +279,15 @@ pub(crate) fn strong_lights<'a>(
         .tree
         .cut(&lights.lights, site.point, site.normal, 0.0, FINE, items);
     sort(items);
+    let least = least * items.iter().map(|i| i.0).sum::<f32>();
+    let is_strong = |guess: f32, index: u32, count: usize| {
+        let sized = matches!(lights.lights[index as usize].kind, LightKind::Polygon(_));
+        count < STRONG && (count < ALWAYS || guess >= least || !sized)
+    };
     let mut kept = 0;
     for i in 0..items.len() {
         match items[i].1 {
-            Item::Light(index) if strong.len() < STRONG => {
+            Item::Light(index) if is_strong(items[i].0, index, strong.len()) => {
                 let light = &lights.lights[index as usize];
                 let factor = light.factor(site.point.as_dvec3(), site.normal.as_dvec3());
                 let view = light.view(site.point, site.normal, site.start, site.offset);

@@ -25,6 +25,9 @@ const MOST_REFINEMENTS: u32 = 4;
 /// receiver is.
 const DARK: f32 = 0.002;
 
+/// Fewest gather rays for an accuracy of 2 %; they grow as the inverse square.
+const FEWEST_RAYS: f64 = 256.0;
+
 /// A scene being solved.
 ///
 /// An iterator of [`Progress`]: each `next` does one step of the solver, and the iteration ends
@@ -335,10 +338,12 @@ impl Session {
 
     /// The accuracy that the settings ask for, with darkness measured against `solution`.
     pub fn accuracy(&self, solution: &Solution) -> Accuracy {
+        // A light seen through a gap must be found before the spread of the rays is believed.
+        let fewest = (FEWEST_RAYS * (0.02 / self.settings.error).powi(2)).clamp(32.0, 512.0) as u32;
         Accuracy {
             relative: self.settings.error as f32,
             floor_lux: DARK * self.typical_illuminance(solution),
-            rays: [256, 16384],
+            rays: [fewest, 16384],
             seed: self.settings.seed,
         }
     }
