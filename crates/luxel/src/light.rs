@@ -61,6 +61,10 @@ pub struct Outcome {
     pub table: String,
 }
 
+/// Gather rays for all vertices together at an accuracy of 5 %; they grow as the inverse square.
+/// With millions of vertices the eye averages over many, and a pixel shows more than one.
+const MOST_RAYS: f64 = 1.2e8;
+
 /// Lights a scene file. `watch` is told of every step and may stop the job, which then ends with
 /// valid files and a solution that can be resumed.
 pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
@@ -109,7 +113,10 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
         session.clock_mut().end(Stage::Mesh);
     }
-    let accuracy = session.accuracy(&solution);
+    let mut accuracy = session.accuracy(&solution);
+    let most = MOST_RAYS * (0.05 / job.settings.error).powi(2) / mesh.receivers.len().max(1) as f64;
+    let most = (most.clamp(64.0, 1e6) as u32).next_power_of_two();
+    accuracy.rays = accuracy.rays.map(|r| r.min(most));
     let receivers = std::mem::take(&mut mesh.receivers);
     // The picture needs the sum of the groups alone.
     let (merged, lights) = (solution.merged(), session.lights().merged());
