@@ -413,17 +413,13 @@ impl Front {
             return None;
         }
         let patch = &self.patches[id.index()];
-        let origin = match patch.shape {
-            Shape::Parallelogram { origin, .. } | Shape::Triangle { origin, .. } => origin,
-            Shape::Cluster { .. } => {
-                return match self.cells[patch.first_cell as usize] {
-                    Cell::Element(e) => Some(e),
-                    Cell::Split(_) => None,
-                };
-            }
-        };
-        let rel = point - origin;
-        let st = [rel.dot(patch.dual[0]), rel.dot(patch.dual[1])];
+        if let Shape::Cluster { .. } = patch.shape {
+            return match self.cells[patch.first_cell as usize] {
+                Cell::Element(e) => Some(e),
+                Cell::Split(_) => None,
+            };
+        }
+        let st = patch.coordinates(point);
         let (cell, mut rect) = self.base_cell(id, st);
         let mut at = self.cells[patch.first_cell as usize + cell];
         loop {
@@ -558,13 +554,15 @@ impl Patch {
             Shape::Cluster { .. } => Vec3::ZERO,
         }
     }
-}
 
-impl Patch {
-    /// Patch coordinates `(s, t)` of the foot of a world point. Not for a cluster, whose answer
-    /// means nothing.
+    /// Patch coordinates `(s, t)` of the foot of a world point. Zero for a cluster.
+    #[inline]
     pub fn coordinates(&self, point: Vec3) -> [f32; 2] {
-        let rel = point - self.point(0.0, 0.0);
+        let origin = match self.shape {
+            Shape::Parallelogram { origin, .. } | Shape::Triangle { origin, .. } => origin,
+            Shape::Cluster { .. } => Vec3::ZERO,
+        };
+        let rel = point - origin;
         [rel.dot(self.dual[0]), rel.dot(self.dual[1])]
     }
 }

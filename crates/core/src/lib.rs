@@ -8,6 +8,7 @@ pub mod element;
 pub mod front;
 pub mod hierarchy;
 pub mod layers;
+pub mod patch_sources;
 pub mod polygon;
 pub mod quantity;
 pub mod scene;
@@ -21,6 +22,7 @@ pub use glam;
 pub use glam::{DVec3, Vec2, Vec3};
 pub use hierarchy::Hierarchy;
 pub use layers::Layers;
+pub use patch_sources::PatchSources;
 pub use polygon::Polygon;
 pub use quantity::Rgb;
 pub use scene::{

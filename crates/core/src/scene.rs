@@ -223,6 +223,22 @@ impl Scene {
         0.5 * (b - a).cross(c - a).length()
     }
 
+    /// Weights of corners 1 and 2 at the foot of `p` on a triangle's plane; zero for a triangle
+    /// without area. Outside of 0..1 where the foot lies outside.
+    pub fn barycentric(&self, triangle: usize, p: Vec3) -> [f32; 2] {
+        let [a, b, c] = self.corners(triangle).map(|q| q.as_dvec3());
+        let (e, f, r) = (b - a, c - a, p.as_dvec3() - a);
+        let n = e.cross(f);
+        let square = n.length_squared();
+        if square == 0.0 {
+            return [0.0, 0.0];
+        }
+        [
+            (r.cross(f).dot(n) / square) as f32,
+            (e.cross(r).dot(n) / square) as f32,
+        ]
+    }
+
     /// Smallest and largest corner of everything; zero for an empty scene.
     pub fn bounds(&self) -> (Vec3, Vec3) {
         let mut low = Vec3::splat(f32::INFINITY);

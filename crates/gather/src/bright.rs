@@ -17,8 +17,7 @@ use crate::emitter::Emitter;
 use crate::lights::{Light, LightKind};
 use crate::tree::LightTree;
 use luxel_core::{Alpha, ElementId, Front, Rgb, Scene, Solution};
-use luxel_transport::sampling::cosine_hemisphere;
-use luxel_transport::{Hit, Ray, RayCaster, Sequence};
+use luxel_transport::{FrontLines, LocalLines, RayCaster};
 use rayon::prelude::*;
 
 /// Standard deviation of one draw of the lottery as a share of its mean.
@@ -114,32 +113,16 @@ impl Bright {
 /// What trial rays bring: exitance of the elements that they meet, 0 where they meet none.
 fn brought(scene: &Scene, front: &Front, caster: &dyn RayCaster, exitance: &[f32]) -> Vec<f32> {
     let stride = front.len().div_ceil(ELEMENTS).max(1);
-    let offset = caster.offset_m();
+    let lines = FrontLines::new(scene, front, caster);
     let chosen: Vec<usize> = (0..front.len()).step_by(stride).collect();
     chosen
         .par_iter()
         .flat_map_iter(|&e| {
-            let (point, normal) = front.point_on(scene, ElementId::from(e), [0.5, 0.5]);
-            let sequence = Sequence::new(0x2545_f491, e as u32);
-            let rays: Vec<Ray> = (0..RAYS)
-                .map(|i| Ray {
-                    origin: point + normal * offset,
-                    t_min: 0.0,
-                    direction: cosine_hemisphere(sequence.point2(i), normal),
-                    t_max: f32::INFINITY,
-                })
-                .collect();
-            let mut hits = vec![Hit::MISS; rays.len()];
-            caster.closest(&rays, &mut hits);
-            rays.into_iter().zip(hits).map(|(ray, hit)| {
-                if !hit.is_hit() {
-                    return 0.0;
-                }
-                let at = ray.origin + ray.direction * hit.t;
-                front
-                    .element_at(hit.triangle as usize, hit.side, at)
-                    .map_or(0.0, |e| exitance[e.index()])
-            })
+            let mut arrivals = Vec::new();
+            lines.cast(ElementId::from(e), 0..RAYS, 0x2545_f491, &mut arrivals);
+            arrivals
+                .into_iter()
+                .map(|a| a.element().map_or(0.0, |e| exitance[e.index()]))
         })
         .collect()
 }

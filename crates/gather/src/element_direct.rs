@@ -8,7 +8,8 @@
 //! weak lights are sampled together by importance (see `tree`).
 
 use crate::lights::{DirectLights, View};
-use crate::tree::{FINE, Item, Lots, sort};
+use crate::lottery::Lots;
+use crate::tree::{FINE, Item, sort};
 use luxel_core::{ElementId, Front, Scene, Vec3};
 use luxel_transport::sampling::hash;
 use luxel_transport::{Ray, RayCaster, Sequence};

@@ -19,8 +19,9 @@
 use crate::bright::Bright;
 use crate::contract::{Accuracy, Irradiance, Receiver};
 use crate::lights::DirectLights;
+use crate::lottery::{Field, Lottery};
 use crate::shadow::{self, Rays, SUBSETS, Site, Strong, Subsets, photometric_f32};
-use crate::tree::{COARSE, Lots};
+use crate::tree::COARSE;
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::{Front, Scene, Solution};
 use luxel_transport::sampling::{cosine_hemisphere, hash};
@@ -35,6 +36,10 @@ const BATCH: u32 = 512;
 /// in all.
 const SHADOW_TIMES: u32 = 16;
 const MOST_SHADOW: u32 = 262_144;
+
+/// Places of the lotteries.
+const WEAK: usize = 0;
+const BRIGHT: usize = 1;
 
 /// Answers what light falls on any receiver.
 pub struct Gatherer<'a> {
@@ -54,11 +59,9 @@ pub struct Gatherer<'a> {
 struct Scratch<'a> {
     rays: Rays,
     hits: Vec<Hit>,
-    lots: Lots,
     strong: Vec<Strong<'a>>,
-    weak: Subsets,
-    bright_lots: Lots,
-    bright: Subsets,
+    /// Weak lights, and bright elements.
+    lotteries: [Lottery; 2],
     indirect: Subsets,
     variances: Vec<f64>,
     values: Vec<f64>,
@@ -181,42 +184,36 @@ impl<'a> Gatherer<'a> {
             .min(MOST_SHADOW / SUBSETS as u32);
 
         s.indirect.reset(columns);
-        s.weak.reset(columns);
-        s.bright.reset(columns);
-        s.bright_lots.items.clear();
-        s.bright_lots.close();
+        s.lotteries.iter_mut().for_each(|l| l.reset(columns));
         let least = 0.5 * accuracy.relative;
-        shadow::strong_lights(self.lights, &site, least, &mut s.lots, &mut s.strong);
+        let lots = &mut s.lotteries[WEAK].lots;
+        shadow::strong_lights(self.lights, &site, least, lots, &mut s.strong);
         let unoccluded: f64 = s.strong.iter().map(|l| l.lux).sum();
         for light in &mut s.strong {
             let until = Strong::first_round(light.lux / unoccluded);
             light.cast(&site, until, self.caster, &mut s.rays);
         }
-        if !s.lots.items.is_empty() {
-            self.weak(&site, fewest.min(8), s);
-        }
         if !self.bright.is_empty() {
-            let (bright, items) = (&self.bright, &mut s.bright_lots.items);
-            bright
-                .tree
-                .cut(&bright.lights, p, normal, 0.0, COARSE, items);
-            s.bright_lots.close();
-            if !s.bright_lots.items.is_empty() {
-                self.bright(&site, fewest.min(8), s);
+            let (bright, lots) = (&self.bright, &mut s.lotteries[BRIGHT].lots);
+            let (lights, items) = (&bright.lights, &mut lots.items);
+            bright.tree.cut(lights, p, normal, 0.0, COARSE, items);
+            lots.close();
+        }
+        for which in [WEAK, BRIGHT] {
+            if !s.lotteries[which].lots.items.is_empty() {
+                self.draw(which, &site, fewest.min(8), s);
             }
         }
         if !self.dark {
             self.gather(&site, fewest, &mut s.indirect, &mut s.rays, &mut s.hits);
         }
 
-        // Parts: strong lights, then the weak ones, bright elements, and the gather rays.
-        let count = s.strong.len() + 3;
+        // Parts: strong lights, then the lotteries, then the gather rays.
+        let count = s.strong.len() + s.lotteries.len() + 1;
         s.variances.clear();
         s.variances.extend(s.strong.iter().map(|l| l.doubt()));
-        s.variances
-            .push(s.weak.variance(columns, None).max(s.lots.doubt()));
-        s.variances
-            .push(s.bright.variance(columns, None).max(s.bright_lots.doubt()));
+        let drawn = s.lotteries.iter().map(|l| l.doubt(columns));
+        s.variances.extend(drawn);
         s.variances.push(s.indirect.variance(columns, None));
         s.values.resize(columns, 0.0);
         loop {
@@ -238,8 +235,9 @@ impl<'a> Gatherer<'a> {
                 let (taken, limit) = match part.checked_sub(s.strong.len()) {
                     None if s.strong[part].agrees() => (s.strong[part].taken(), most),
                     None => (s.strong[part].taken(), most_shadow),
-                    Some(0) => (s.weak.taken, most.saturating_mul(4)),
-                    Some(1) => (s.bright.taken, most.saturating_mul(4)),
+                    Some(which @ (WEAK | BRIGHT)) => {
+                        (s.lotteries[which].subsets.taken, most.saturating_mul(4))
+                    }
                     Some(_) => (s.indirect.taken, most),
                 };
                 let pays = s.variances[part] / taken.max(1) as f64;
@@ -254,13 +252,10 @@ impl<'a> Gatherer<'a> {
                     light.cast(&site, 2 * light.taken(), self.caster, &mut s.rays);
                     light.doubt()
                 }
-                Some(0) => {
-                    self.weak(&site, 2 * s.weak.taken, s);
-                    s.weak.variance(columns, None).max(s.lots.doubt())
-                }
-                Some(1) => {
-                    self.bright(&site, 2 * s.bright.taken, s);
-                    s.bright.variance(columns, None).max(s.bright_lots.doubt())
+                Some(which @ (WEAK | BRIGHT)) => {
+                    let until = 2 * s.lotteries[which].subsets.taken;
+                    self.draw(which, &site, until, s);
+                    s.lotteries[which].doubt(columns)
                 }
                 Some(_) => {
                     let until = 2 * s.indirect.taken;
@@ -275,9 +270,9 @@ impl<'a> Gatherer<'a> {
         for light in &s.strong {
             s.layers[light.light.group] += light.variance();
         }
-        s.weak.variance(columns, Some(&mut s.layers));
-        s.bright.variance(columns, Some(&mut s.layers));
-        s.indirect.variance(columns, Some(&mut s.layers));
+        let [weak, bright] = &s.lotteries;
+        let random = [&weak.subsets, &bright.subsets, &s.indirect]
+            .map(|part| part.variance(columns, Some(&mut s.layers)));
         for (out, &v) in values.iter_mut().zip(&s.values) {
             *out = v as f32;
         }
@@ -285,18 +280,19 @@ impl<'a> Gatherer<'a> {
             *out = v.sqrt() as f32;
         }
         let strong: f64 = s.strong.iter().map(|l| l.variance()).sum();
-        let random = [&s.weak, &s.bright, &s.indirect].map(|part| part.variance(columns, None));
         *error = (strong + random.iter().sum::<f64>()).sqrt() as f32;
         let shadow: u64 = s.strong.iter().map(|l| l.rays() as u64).sum();
-        shadow + s.weak.rays() as u64 + s.bright.rays() as u64 + s.indirect.rays() as u64
+        let drawn: u64 = s.lotteries.iter().map(|l| l.subsets.rays() as u64).sum();
+        shadow + drawn + s.indirect.rays() as u64
     }
 
     /// The sum of all parts, all columns.
     fn add_up(&self, s: &mut Scratch<'_>) {
         s.values.fill(0.0);
         s.indirect.add_mean(&mut s.values);
-        s.weak.add_mean(&mut s.values);
-        s.bright.add_mean(&mut s.values);
+        for lottery in &s.lotteries {
+            lottery.subsets.add_mean(&mut s.values);
+        }
         for light in &s.strong {
             let place = 3 * light.light.group;
             for (band, v) in light.value().into_iter().enumerate() {
@@ -305,55 +301,50 @@ impl<'a> Gatherer<'a> {
         }
     }
 
-    /// Takes draws of the weak lights until each subset has `until`.
-    fn weak(&self, site: &Site, until: u32, s: &mut Scratch<'a>) {
-        let (lights, tree) = (&self.lights.lights, &self.lights.tree);
-        let (lots, subsets, rays) = (&mut s.lots, &mut s.weak, &mut s.rays);
-        let add = |row: &mut [f64], index: u32, share: f64| {
-            let light = &lights[index as usize];
-            for (band, tint) in light.tint.to_array().into_iter().enumerate() {
-                row[3 * light.group + band] += tint as f64 * share;
-            }
-        };
-        let salt = 0x1b87_3593;
-        shadow::weak_lights(
-            lights,
-            tree,
-            site,
-            lots,
-            until,
-            salt,
-            subsets,
-            self.caster,
-            rays,
-            add,
-        );
-    }
-
-    /// Takes draws of the bright elements until each subset has `until`.
-    fn bright(&self, site: &Site, until: u32, s: &mut Scratch<'a>) {
-        let (lights, tree) = (&self.bright.lights, &self.bright.tree);
-        let (lots, subsets, rays) = (&mut s.bright_lots, &mut s.bright, &mut s.rays);
-        let columns = self.lights.columns;
-        let add_rest = |row: &mut [f64], index: u32, share: f64| {
-            let first = self.bright.element[index as usize].index() * columns;
-            let share = share * self.bright.rest(index);
-            let exitance = &self.solution.exitance[first..first + columns];
-            add(row, exitance, |&b| b as f64 * share);
-        };
-        let salt = 0x85eb_ca6b;
-        shadow::weak_lights(
-            lights,
-            tree,
-            site,
-            lots,
-            until,
-            salt,
-            subsets,
-            self.caster,
-            rays,
-            add_rest,
-        );
+    /// Draws from one of the lotteries until each subset has `until`.
+    fn draw(&self, which: usize, site: &Site, until: u32, s: &mut Scratch<'a>) {
+        let (lottery, rays) = (&mut s.lotteries[which], &mut s.rays);
+        if which == WEAK {
+            let lights = &self.lights.lights;
+            let field = Field {
+                lights,
+                tree: &self.lights.tree,
+                salt: 0x1b87_3593,
+            };
+            lottery.cast(
+                &field,
+                site,
+                until,
+                self.caster,
+                rays,
+                |row, index, share| {
+                    let light = &lights[index as usize];
+                    for (band, tint) in light.tint.to_array().into_iter().enumerate() {
+                        row[3 * light.group + band] += tint as f64 * share;
+                    }
+                },
+            );
+        } else {
+            let (bright, columns) = (&self.bright, self.lights.columns);
+            let field = Field {
+                lights: &bright.lights,
+                tree: &bright.tree,
+                salt: 0x85eb_ca6b,
+            };
+            lottery.cast(
+                &field,
+                site,
+                until,
+                self.caster,
+                rays,
+                |row, index, share| {
+                    let first = bright.element[index as usize].index() * columns;
+                    let share = share * bright.rest(index);
+                    let exitance = &self.solution.exitance[first..first + columns];
+                    add(row, exitance, |&b| b as f64 * share);
+                },
+            );
+        }
     }
 
     /// Takes gather rays until each subset has `until`.

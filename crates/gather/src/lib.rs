@@ -11,6 +11,7 @@ mod emitter;
 pub mod fate;
 pub mod gather;
 pub mod lights;
+mod lottery;
 mod shadow;
 mod tree;
 

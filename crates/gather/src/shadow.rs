@@ -1,5 +1,5 @@
-//! Direct light at one receiver: strong lights one by one, weak ones by lottery, each with its
-//! own error from independent subsets.
+//! Direct light of the strong lights at one receiver, one by one, each with its own error from
+//! independent subsets. The weak ones are left to the `lottery`.
 //!
 //! A strong light gives its exact unoccluded factor times the share of free shadow rays,
 //! weighted by the kernel (ratio estimator). A luminaire without size needs one ray and has no
@@ -10,7 +10,8 @@
 
 use crate::emitter::EmitterView;
 use crate::lights::{DirectLights, Light, LightKind, View, photometric};
-use crate::tree::{FINE, Item, LightTree, Lots, sort};
+use crate::lottery::Lots;
+use crate::tree::{FINE, Item, sort};
 use luxel_core::Vec3;
 use luxel_core::quantity::LUMINANCE_WEIGHTS;
 use luxel_transport::sampling::hash;
@@ -48,16 +49,16 @@ pub(crate) struct Site {
 pub(crate) struct Rays {
     pub rays: Vec<Ray>,
     pub visible: Vec<f32>,
-    owner: Vec<Owner>,
+    pub(crate) owner: Vec<Owner>,
 }
 
 /// To whom a shadow ray belongs.
-struct Owner {
-    subset: u32,
-    light: u32,
-    weight: f64,
+pub(crate) struct Owner {
+    pub subset: u32,
+    pub light: u32,
+    pub weight: f64,
     /// Place in the lottery.
-    place: u32,
+    pub place: u32,
 }
 
 /// Sums of independent subsets, all columns.
@@ -259,7 +260,7 @@ impl Strong<'_> {
 }
 
 /// 24-bit fractions in the middle of their cells: a point never lies on the edge of a light.
-fn sample_view(view: &EmitterView<'_>, [u, v]: [f32; 2]) -> (Vec3, f64) {
+pub(crate) fn sample_view(view: &EmitterView<'_>, [u, v]: [f32; 2]) -> (Vec3, f64) {
     const HALF: f64 = 0.5 / 16_777_216.0;
     view.sample([u as f64 + HALF, v as f64 + HALF])
 }
@@ -316,77 +317,6 @@ pub(crate) fn strong_lights<'a>(
     }
     items.truncate(kept);
     lots.close();
-}
-
-/// Takes draws of the lottery over `lights` until each subset has `until`; `add` is told of each
-/// draw that arrives: the sums of its subset, the light, and how often its tint arrives. `salt`
-/// tells the random numbers of one lottery from those of another.
-#[allow(clippy::too_many_arguments)]
-pub(crate) fn weak_lights(
-    lights: &[Light],
-    tree: &LightTree,
-    site: &Site,
-    lots: &mut Lots,
-    until: u32,
-    salt: u32,
-    subsets: &mut Subsets,
-    caster: &dyn RayCaster,
-    buffer: &mut Rays,
-    mut add: impl FnMut(&mut [f64], u32, f64),
-) {
-    buffer.rays.clear();
-    buffer.owner.clear();
-    for g in 0..SUBSETS {
-        let places = Sequence::new(site.key ^ salt, 2 * g as u32);
-        let picks = Sequence::new(site.key ^ salt, 2 * g as u32 + 1);
-        for i in subsets.taken..until {
-            let Some(drawn) = lots.draw(picks.point1(i)) else {
-                continue;
-            };
-            let picked = tree.pick(drawn.item, lights, site.point, site.normal, 0.0, drawn.rest);
-            let Some((index, p)) = picked else {
-                lots.count(drawn.place, 0.0);
-                continue;
-            };
-            let light = &lights[index as usize];
-            let Some(view) = light.view(site.point, site.normal, site.start, site.offset) else {
-                lots.count(drawn.place, 0.0);
-                continue;
-            };
-            let (ray, weight) = match view {
-                View::Point(ray) => (
-                    ray,
-                    light.factor(site.point.as_dvec3(), site.normal.as_dvec3()),
-                ),
-                View::Polygon(view) => {
-                    let (x, weight) = sample_view(&view, places.point2(i));
-                    (light.segment_to(site.start, x, site.offset), weight)
-                }
-            };
-            if weight > 0.0 {
-                buffer.rays.push(ray);
-                buffer.owner.push(Owner {
-                    subset: g as u32,
-                    light: index,
-                    weight: weight / (drawn.probability * p),
-                    place: drawn.place,
-                });
-            } else {
-                lots.count(drawn.place, 0.0);
-            }
-        }
-    }
-    subsets.taken = until;
-    buffer.visible.resize(buffer.rays.len(), 0.0);
-    caster.visibility(&buffer.rays, &mut buffer.visible);
-    let columns = subsets.sums.len() / SUBSETS;
-    for (o, &v) in buffer.owner.iter().zip(&buffer.visible) {
-        let first = o.subset as usize * columns;
-        let row = &mut subsets.sums[first..first + columns];
-        add(row, o.light, o.weight * v as f64);
-        lots.count(o.place, v);
-    }
-    lots.next_round();
 }
 
 /// Photometric value of three bands of a row.

@@ -2,15 +2,13 @@
 //!
 //! A binary tree over all lights that have a place. A receiver takes a cut: nodes that look
 //! small from it, single lights where they do not. The strongest single lights are then
-//! computed one by one and the rest by sampling: a node is taken with a probability in
-//! proportion to its guess, and one light within it by descending with the guesses of the two
-//! children. Guesses are zero only where no light can arrive, so the estimate is unbiased.
+//! computed one by one and the rest by a lottery (see `lottery`), which takes a node; one light
+//! within it is taken by descending with the guesses of the two children. Guesses are zero only where no light can arrive, so the estimate is unbiased.
 //!
 //! Source: [Conty18]; the cut is that of [Walter05]. Differs: the strongest lights leave the
 //! lottery.
 
 use crate::lights::{Light, LightKind};
-use crate::shadow::MISSED;
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::{LuminaireKind, Vec3};
 
@@ -53,96 +51,6 @@ pub(crate) enum Item {
 /// The strongest first.
 pub(crate) fn sort(items: &mut [(f32, Item)]) {
     items.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-}
-
-/// What a receiver must consider, and a lottery over it that learns: an item
-/// whose draws were hidden is drawn less from the next round on.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Lots {
-    /// Guessed irradiance and item.
-    pub items: Vec<(f32, Item)>,
-    /// Draws of each item, and how many of them arrived.
-    tally: Vec<[f32; 2]>,
-    /// Running sum of the weights.
-    sums: Vec<f64>,
-    /// Sum of the guesses, lux.
-    whole: f64,
-}
-
-/// One draw of a lottery.
-pub(crate) struct Drawn {
-    /// Place in [`Lots::items`].
-    pub place: u32,
-    pub item: Item,
-    pub probability: f64,
-    /// What is left of the random number, uniform in 0..1.
-    pub rest: f64,
-}
-
-/// An item is never drawn less than this share of what its guess says.
-const LEAST: f32 = 0.1;
-/// So many draws must arrive before their spread is believed.
-const ENOUGH: f32 = 8.0;
-/// After so many draws with hardly an arrival the lights are behind a wall.
-const HIDDEN: f32 = 512.0;
-
-impl Lots {
-    /// Makes the lottery ready; the items stay as they are from here on.
-    pub fn close(&mut self) {
-        self.whole = self.items.iter().map(|i| i.0 as f64).sum();
-        self.tally.clear();
-        self.tally.resize(self.items.len(), [0.0; 2]);
-        self.next_round();
-    }
-
-    /// Takes what was tallied into account. Within a round the chances stay the same, so that
-    /// each draw alone is unbiased.
-    pub fn next_round(&mut self) {
-        let mut sum = 0.0;
-        self.sums.clear();
-        let items = self.items.iter().zip(&self.tally);
-        self.sums.extend(items.map(|(i, [drawn, arrived])| {
-            let share = ((arrived + 1.0) / (drawn + 1.0)).max(LEAST);
-            sum += i.0 as f64 * share as f64;
-            sum
-        }));
-    }
-
-    /// What `u`, uniform in 0..1, draws; `None` when there is nothing.
-    pub fn draw(&self, u: f64) -> Option<Drawn> {
-        let whole = *self.sums.last()?;
-        let pick = u * whole;
-        let last = self.items.len() - 1;
-        let place = self.sums.partition_point(|s| *s <= pick).min(last);
-        let before = if place > 0 { self.sums[place - 1] } else { 0.0 };
-        let weight = self.sums[place] - before;
-        Some(Drawn {
-            place: place as u32,
-            item: self.items[place].1,
-            probability: weight / whole,
-            rest: ((pick - before) / weight).clamp(0.0, 1.0),
-        })
-    }
-
-    /// Counts a draw and what share of it arrived.
-    pub fn count(&mut self, place: u32, arrived: f32) {
-        let [drawn, seen] = &mut self.tally[place as usize];
-        *drawn += 1.0;
-        *seen += arrived;
-    }
-
-    /// Variance that may hide behind too few arrivals, lux².
-    pub fn doubt(&self) -> f64 {
-        let (drawn, seen) = self
-            .tally
-            .iter()
-            .fold((0.0f32, 0.0f32), |s, t| (s.0 + t[0], s.1 + t[1]));
-        if seen >= ENOUGH || drawn >= HIDDEN {
-            return 0.0;
-        }
-        let missed = MISSED * self.whole / (drawn as f64).max(1.0);
-        missed * missed
-    }
 }
 
 /// The tree, and the lights that are infinitely far.

@@ -253,28 +253,16 @@ impl Session {
         &mut self,
         act: impl FnOnce(&mut dyn Solver, &luxel_solve::Problem<'_>) -> T,
     ) -> T {
-        let lines;
-        let transport = match &self.factors {
-            Some(matrix) => Transport::Factors(matrix),
-            None => {
-                lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-                Transport::Lines(&lines)
-            }
-        };
+        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+        let transport = transport(&self.factors, &lines);
         let problem = self.matter.problem(transport, self.settings.seed);
         act(self.solver.as_mut(), &problem)
     }
 
     /// The solution as it stands. Never holds the ambient term.
     pub fn solution(&self) -> Solution {
-        let lines;
-        let transport = match &self.factors {
-            Some(matrix) => Transport::Factors(matrix),
-            None => {
-                lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-                Transport::Lines(&lines)
-            }
-        };
+        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+        let transport = transport(&self.factors, &lines);
         self.solver
             .solution(&self.matter.problem(transport, self.settings.seed))
     }
@@ -368,14 +356,8 @@ impl Session {
 
     /// Energy balance of the solution, lumens.
     pub fn balance(&self, solution: &Solution) -> luxel_solve::balance::EnergyBalance {
-        let lines;
-        let transport = match &self.factors {
-            Some(matrix) => Transport::Factors(matrix),
-            None => {
-                lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-                Transport::Lines(&lines)
-            }
-        };
+        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+        let transport = transport(&self.factors, &lines);
         luxel_solve::balance::measure(
             &self.matter.problem(transport, self.settings.seed),
             solution,
@@ -449,6 +431,14 @@ impl Iterator for Session {
         self.progress = self.with_solver(|solver, problem| solver.step(problem));
         self.clock.end(Stage::Solve);
         Some(self.progress)
+    }
+}
+
+/// Stored factors where there are some, else lines.
+fn transport<'a>(factors: &'a Option<Matrix>, lines: &'a FrontLines<'a>) -> Transport<'a> {
+    match factors {
+        Some(matrix) => Transport::Factors(matrix),
+        None => Transport::Lines(lines),
     }
 }
 

@@ -9,6 +9,9 @@ use std::time::{Duration, Instant};
 /// Share of the time bound that the solver may use; the rest is for gathering.
 const SOLVE_SHARE: f64 = 0.6;
 
+/// Share of the work from which on the time left is told: the first steps foretell badly.
+const FORESEEN: f64 = 0.02;
+
 /// Receivers between two looks at the watch.
 const CHUNK: usize = 2048;
 
@@ -57,7 +60,7 @@ pub fn solve(
         last.share = share.max(last.share);
         last.unshot = Some(progress.unshot_share);
         last.error = known.then_some(progress.relative_error);
-        last.left_s = (last.share > 0.0).then(|| elapsed * (1.0 / last.share - 1.0));
+        last.left_s = (last.share > FORESEEN).then(|| elapsed * (1.0 / last.share - 1.0));
         if watch(&last) == Control::Stop || bound.is_some_and(|b| elapsed > b) {
             return End::Stopped;
         }

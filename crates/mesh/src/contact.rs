@@ -206,11 +206,12 @@ fn meet(
         }
     };
     let zeros = d.iter().filter(|&&d| d == 0.0).count();
+    // In the plane, or parallel to it and close.
     let (low, high) = (d[0].min(d[1]).min(d[2]), d[0].max(d[1]).max(d[2]));
     let is_near = high - low <= tolerance && high.max(-low) <= gap;
     let above = d.iter().filter(|&&d| d > 0.0).count();
     match zeros {
-        _ if zeros == 3 || is_near => {
+        _ if is_near => {
             if zeros == 3 && same_place(scene, q, t, plane.normal) {
                 doubled.push(t);
             }

@@ -10,9 +10,8 @@
 use crate::sides::lit_side;
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::texture::{Wrap, linear_from_srgb};
-use luxel_core::{Alpha, Front, Patch, Rgb, Scene, Shape, Texture, TextureId, Vec2, Vec3};
+use luxel_core::{Alpha, Front, PatchSources, Rgb, Scene, Shape, Texture, TextureId, Vec2, Vec3};
 use rayon::prelude::*;
-use std::collections::HashMap;
 
 /// Samples along an edge of an element, least and most.
 const SAMPLES: [u32; 2] = [4, 16];
@@ -41,7 +40,7 @@ pub fn shade(scene: &Scene, front: &mut Front) {
             .map(|(t, used)| used.then(|| Pyramid::new(t)))
             .collect()
     };
-    let sources = Sources::of(scene, front);
+    let sources = PatchSources::new(scene, front);
     let values: Vec<(Rgb, Rgb)> = (0..front.len())
         .into_par_iter()
         .map(|e| element(scene, front, &pictures, &sources, e))
@@ -56,7 +55,7 @@ fn element(
     scene: &Scene,
     front: &Front,
     pictures: &[Option<Pyramid>],
-    sources: &Sources,
+    sources: &PatchSources,
     e: usize,
 ) -> (Rgb, Rgb) {
     let id = front.patch[e];
@@ -73,7 +72,7 @@ fn element(
         Rgb::BLACK
     };
     let emission_picture = emission.and_then(|m| m.texture);
-    let triangles = sources.of_patch(id.index());
+    let triangles = sources.of(id.index());
     if finish.texture.is_none() && emission_picture.is_none() {
         let coverage = triangles
             .first()
@@ -246,137 +245,8 @@ impl Mean {
     }
 }
 
-/// Source triangles of each patch.
-struct Sources {
-    offsets: Vec<u32>,
-    triangles: Vec<u32>,
-    /// Of patches with many triangles, those near each place.
-    finders: HashMap<u32, Finder>,
-}
-
-/// Source triangles of one patch by the cell of a regular grid over its coordinates.
-struct Finder {
-    /// Cells along each edge.
-    cells: usize,
-    start: Vec<u32>,
-    list: Vec<u32>,
-}
-
-/// Patches with more triangles than this have a finder.
-const FEW: usize = 8;
-
-impl Finder {
-    /// About as many cells as triangles.
-    fn new(scene: &Scene, patch: &Patch, triangles: &[u32]) -> Finder {
-        let cells = (triangles.len() as f32).sqrt().ceil().clamp(1.0, 1024.0) as usize;
-        let spans: Vec<[usize; 4]> = triangles
-            .iter()
-            .map(|&t| {
-                let st = scene
-                    .corners(t as usize)
-                    .map(|p| Vec2::from(patch.coordinates(p)));
-                // A hair wider, for places on an edge.
-                let low = st[0].min(st[1]).min(st[2]) - 1e-4;
-                let high = st[0].max(st[1]).max(st[2]) + 1e-4;
-                let cell = |v: f32| Finder::cell(cells, v);
-                [cell(low.x), cell(high.x), cell(low.y), cell(high.y)]
-            })
-            .collect();
-        let each = |span: &[usize; 4]| {
-            let [i0, i1, j0, j1] = *span;
-            (j0..=j1).flat_map(move |j| (i0..=i1).map(move |i| j * cells + i))
-        };
-        let mut start = vec![0u32; cells * cells + 1];
-        spans.iter().flat_map(each).for_each(|c| start[c + 1] += 1);
-        for c in 1..start.len() {
-            start[c] += start[c - 1];
-        }
-        let mut at = start.clone();
-        let mut list = vec![0; start[cells * cells] as usize];
-        for (span, &t) in spans.iter().zip(triangles) {
-            for c in each(span) {
-                list[at[c] as usize] = t;
-                at[c] += 1;
-            }
-        }
-        Finder { cells, start, list }
-    }
-
-    fn cell(cells: usize, v: f32) -> usize {
-        ((v * cells as f32) as usize).min(cells - 1)
-    }
-
-    fn near(&self, [s, t]: [f32; 2]) -> &[u32] {
-        let c = Finder::cell(self.cells, t) * self.cells + Finder::cell(self.cells, s);
-        &self.list[self.start[c] as usize..self.start[c + 1] as usize]
-    }
-}
-
-impl Sources {
-    fn of(scene: &Scene, front: &Front) -> Sources {
-        let mut offsets = vec![0u32; front.patches.len() + 1];
-        for id in front.patch_of.iter().flatten().filter(|id| id.is_some()) {
-            offsets[id.index() + 1] += 1;
-        }
-        for i in 1..offsets.len() {
-            offsets[i] += offsets[i - 1];
-        }
-        let mut at = offsets.clone();
-        let mut triangles = vec![0; offsets.last().map_or(0, |&n| n as usize)];
-        for (t, ids) in front.patch_of.iter().enumerate() {
-            for id in ids.iter().filter(|id| id.is_some()) {
-                triangles[at[id.index()] as usize] = t as u32;
-                at[id.index()] += 1;
-            }
-        }
-        let mut sources = Sources {
-            offsets,
-            triangles,
-            finders: HashMap::new(),
-        };
-        sources.finders = (0..front.patches.len())
-            .into_par_iter()
-            .filter(|&p| {
-                let many = sources.of_patch(p).len() > FEW;
-                many && !matches!(front.patches[p].shape, Shape::Cluster { .. })
-            })
-            .map(|p| {
-                (
-                    p as u32,
-                    Finder::new(scene, &front.patches[p], sources.of_patch(p)),
-                )
-            })
-            .collect();
-        sources
-    }
-
-    /// Source triangles of a patch among which the one at `(s, t)` is.
-    fn near(&self, patch: usize, st: [f32; 2]) -> &[u32] {
-        let found = self.finders.get(&(patch as u32)).map(|f| f.near(st));
-        found
-            .filter(|f| !f.is_empty())
-            .unwrap_or_else(|| self.of_patch(patch))
-    }
-
-    fn of_patch(&self, patch: usize) -> &[u32] {
-        &self.triangles[self.offsets[patch] as usize..self.offsets[patch + 1] as usize]
-    }
-}
-
-/// Barycentric weights of corners 1 and 2 at a point of a triangle's plane.
-fn barycentric(scene: &Scene, triangle: u32, p: Vec3) -> [f32; 2] {
-    let [a, b, c] = scene.corners(triangle as usize).map(|q| q.as_dvec3());
-    let (u, v, w) = (b - a, c - a, p.as_dvec3() - a);
-    let n = u.cross(v);
-    let nn = n.length_squared().max(1e-300);
-    [
-        (w.cross(v).dot(n) / nn) as f32,
-        (u.cross(w).dot(n) / nn) as f32,
-    ]
-}
-
 fn uv_in(scene: &Scene, triangle: u32, p: Vec3) -> Vec2 {
-    let [u, v] = barycentric(scene, triangle, p);
+    let [u, v] = scene.barycentric(triangle as usize, p);
     scene.uv_at(triangle as usize, u, v)
 }
 
@@ -384,7 +254,7 @@ fn uv_in(scene: &Scene, triangle: u32, p: Vec3) -> Vec2 {
 fn locate(scene: &Scene, triangles: &[u32], p: Vec3) -> (u32, f32, f32) {
     let mut best = (f32::NEG_INFINITY, (triangles[0], 0.0, 0.0));
     for &t in triangles {
-        let [u, v] = barycentric(scene, t, p);
+        let [u, v] = scene.barycentric(t as usize, p);
         let inside = u.min(v).min(1.0 - u - v);
         if inside > best.0 {
             best = (inside, (t, u, v));

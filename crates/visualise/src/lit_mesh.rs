@@ -367,7 +367,7 @@ impl Builder {
                 }
             }
             let centre = ring.iter().map(|r| r.0).sum::<Vec3>() / ring.len() as f32;
-            let source = sources.source_at(scene, id, centre);
+            let source = sources.source_at(scene, front, id, centre);
             let uv = |p: Vec3| sources.uv(scene, source, p);
             b.add_outline(
                 component,

@@ -5,7 +5,7 @@
 //! units in the last place are the same. Places are found through a hash grid; results depend on
 //! the order of insertion only, never on the order of the hash.
 
-use luxel_core::{Front, PatchId, Scene, Shape, Vec2, Vec3};
+use luxel_core::{Front, PatchId, PatchSources, Scene, Shape, Vec2, Vec3};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -17,9 +17,7 @@ pub(crate) struct Sources {
     pub shared: Vec<bool>,
     /// Distance under which two points are one, metres.
     pub tolerance_m: f32,
-    /// Source triangles of each patch: `list[start[p]..start[p + 1]]`.
-    start: Vec<u32>,
-    list: Vec<u32>,
+    triangles: PatchSources,
     /// Whether one affine map gives the texture coordinates of the whole patch.
     one_map: Vec<bool>,
 }
@@ -32,22 +30,6 @@ impl Sources {
             .iter()
             .fold(0.0f32, |m, p| m.max(p.abs().max_element()));
         let tolerance_m = (reach * 1e-6).max(f32::MIN_POSITIVE * 1e6);
-        let mut start = vec![0u32; patches + 1];
-        for sides in &front.patch_of {
-            for p in sides.iter().filter(|p| p.is_some()) {
-                start[p.index() + 1] += 1;
-            }
-        }
-        for p in 0..patches {
-            start[p + 1] += start[p];
-        }
-        let (mut at, mut list) = (start.clone(), vec![0u32; start[patches] as usize]);
-        for (t, sides) in front.patch_of.iter().enumerate() {
-            for p in sides.iter().filter(|p| p.is_some()) {
-                list[at[p.index()] as usize] = t as u32;
-                at[p.index()] += 1;
-            }
-        }
         let component = components(scene, front);
         let mut count = vec![0u32; patches];
         for &c in &component {
@@ -58,8 +40,7 @@ impl Sources {
             component,
             shared,
             tolerance_m,
-            start,
-            list,
+            triangles: PatchSources::new(scene, front),
             one_map: Vec::new(),
         };
         sources.one_map = (0..patches)
@@ -68,12 +49,8 @@ impl Sources {
         sources
     }
 
-    fn of(&self, patch: usize) -> &[u32] {
-        &self.list[self.start[patch] as usize..self.start[patch + 1] as usize]
-    }
-
     fn has_one_map(&self, scene: &Scene, patch: usize) -> bool {
-        let list = self.of(patch);
+        let list = self.triangles.of(patch);
         if scene.uvs.is_empty() || list.len() < 2 {
             return true;
         }
@@ -89,13 +66,15 @@ impl Sources {
     }
 
     /// The source triangle of a patch whose texture map holds at `p`.
-    pub fn source_at(&self, scene: &Scene, patch: PatchId, p: Vec3) -> u32 {
-        let list = self.of(patch.index());
+    pub fn source_at(&self, scene: &Scene, front: &Front, patch: PatchId, p: Vec3) -> u32 {
         if self.one_map[patch.index()] {
-            return list.first().copied().unwrap_or(u32::MAX);
+            let first = self.triangles.of(patch.index()).first();
+            return first.copied().unwrap_or(u32::MAX);
         }
+        let st = front.patches[patch.index()].coordinates(p);
+        let list = self.triangles.near(patch.index(), st);
         let inside = |t: u32| {
-            let [u, v] = barycentric(scene.corners(t as usize), p);
+            let [u, v] = scene.barycentric(t as usize, p);
             u.min(v).min(1.0 - u - v)
         };
         let mut best = list[0];
@@ -112,23 +91,9 @@ impl Sources {
         if scene.uvs.is_empty() || triangle == u32::MAX {
             return Vec2::ZERO;
         }
-        let [u, v] = barycentric(scene.corners(triangle as usize), p);
+        let [u, v] = scene.barycentric(triangle as usize, p);
         scene.uv_at(triangle as usize, u, v)
     }
-}
-
-/// Weights of corners 1 and 2 at the foot of `p` on a triangle's plane.
-pub(crate) fn barycentric([a, b, c]: [Vec3; 3], p: Vec3) -> [f32; 2] {
-    let (e, f, r) = ((b - a).as_dvec3(), (c - a).as_dvec3(), (p - a).as_dvec3());
-    let n = e.cross(f);
-    let square = n.length_squared();
-    if square == 0.0 {
-        return [0.0, 0.0];
-    }
-    [
-        (r.cross(f).dot(n) / square) as f32,
-        (e.cross(r).dot(n) / square) as f32,
-    ]
 }
 
 /// Smallest patch of the flat piece that each patch belongs to.
