@@ -24,6 +24,29 @@ pub struct Accuracy {
     pub seed: u32,
 }
 
+/// Fewest gather rays of a receiver whose accuracy is loosened.
+const FEWEST_LOOSENED: u32 = 16;
+
+impl Accuracy {
+    /// What errors so many times as large ask for; `slack` is at least 1. The fewest and most rays
+    /// shrink with its square, to 16.
+    pub fn loosened(&self, slack: f32) -> Accuracy {
+        if slack <= 1.0 {
+            return *self;
+        }
+        let fewer = |rays: u32| {
+            let loosened = (rays as f32 / (slack * slack)) as u32;
+            loosened.max(FEWEST_LOOSENED).min(rays)
+        };
+        Accuracy {
+            relative: self.relative * slack,
+            floor_lux: self.floor_lux * slack,
+            rays: self.rays.map(fewer),
+            seed: self.seed,
+        }
+    }
+}
+
 /// Irradiance at a list of receivers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Irradiance {

@@ -206,11 +206,10 @@ impl Job<'_> {
         let lights = self.lights;
         let offset = self.caster.offset_m();
         let draws = self.settings.weak_samples.max(1);
-        let places = Sequence::new(hash([self.settings.seed, 0x77ea]), element.0);
-        let picks = Sequence::new(hash([self.settings.seed, 0x70c4]), element.0);
+        let sequence = Sequence::new(hash([self.settings.seed, 0x77ea]), element.0);
         for i in 0..draws {
-            let [u, v, a, b] = places.point4(i);
-            let Some(drawn) = s.lots.draw(picks.point1(i)) else {
+            let [u, v, a, b] = sequence.point4(i);
+            let Some(drawn) = s.lots.draw(sequence.fifth(i)) else {
                 continue;
             };
             let Some((light, p)) = lights.tree.pick(

@@ -111,6 +111,17 @@ impl<'a> Gatherer<'a> {
     /// zero where nothing is seen. The same bits for any thread count, order and grouping of
     /// receivers. A receiver may lie exactly on a surface.
     pub fn irradiance_at(&self, receivers: &[Receiver], accuracy: &Accuracy) -> Irradiance {
+        self.irradiance_with_slack(receivers, &[], accuracy)
+    }
+
+    /// As [`Gatherer::irradiance_at`], but each receiver's error may be so many times what
+    /// `accuracy` says (at least 1; receivers without an entry have 1).
+    pub fn irradiance_with_slack(
+        &self,
+        receivers: &[Receiver],
+        slack: &[f32],
+        accuracy: &Accuracy,
+    ) -> Irradiance {
         let columns = self.lights.columns;
         let groups = columns / 3;
         let n = receivers.len();
@@ -119,18 +130,21 @@ impl<'a> Gatherer<'a> {
         let mut errors = vec![0.0; n];
         let rays = receivers
             .par_chunks(CHUNK)
+            .enumerate()
             .zip(values.par_chunks_mut(CHUNK * columns))
             .zip(layer_errors.par_chunks_mut(CHUNK * groups))
             .zip(errors.par_chunks_mut(CHUNK))
             .map_init(
                 Scratch::default,
-                |scratch, (((receivers, values), layers), errors)| {
+                |scratch, ((((chunk, receivers), values), layers), errors)| {
                     let mut rays = 0;
                     for (k, receiver) in receivers.iter().enumerate() {
+                        let slack = slack.get(CHUNK * chunk + k).copied().unwrap_or(1.0);
+                        let accuracy = accuracy.loosened(slack);
                         let values = &mut values[k * columns..(k + 1) * columns];
                         let layers = &mut layers[k * groups..(k + 1) * groups];
                         rays +=
-                            self.one(receiver, accuracy, scratch, values, layers, &mut errors[k]);
+                            self.one(receiver, &accuracy, scratch, values, layers, &mut errors[k]);
                     }
                     rays
                 },
@@ -188,10 +202,8 @@ impl<'a> Gatherer<'a> {
         let least = 0.5 * accuracy.relative;
         let lots = &mut s.lotteries[WEAK].lots;
         shadow::strong_lights(self.lights, &site, least, lots, &mut s.strong);
-        let unoccluded: f64 = s.strong.iter().map(|l| l.lux).sum();
         for light in &mut s.strong {
-            let until = Strong::first_round(light.lux / unoccluded);
-            light.cast(&site, until, self.caster, &mut s.rays);
+            light.cast(&site, 1, self.caster, &mut s.rays);
         }
         if !self.bright.is_empty() {
             let (bright, lots) = (&self.bright, &mut s.lotteries[BRIGHT].lots);

@@ -2,14 +2,15 @@
 //! with a probability in proportion to its guessed irradiance, one light within it by the tree,
 //! and one shadow ray goes to a point on it.
 //!
-//! It learns: an item whose draws were hidden is drawn less from the next round on. Within a round
-//! the chances stay the same, so each draw alone is unbiased. The draws belong to [`SUBSETS`]
+//! It learns: from the next round on an item whose draws were hidden is drawn less, and a node of
+//! which only some were is drawn as its two halves. Within a round the chances stay the same, so
+//! each draw alone is unbiased. The draws belong to [`SUBSETS`]
 //! independent sequences, whose spread is the error.
 //!
 //! Source: [Conty18] for the draws; learning from what arrived is ours.
 
 use crate::lights::{Light, View};
-use crate::shadow::{MISSED, Owner, Rays, SUBSETS, Site, Subsets, sample_view};
+use crate::shadow::{Owner, Rays, SUBSETS, Site, Subsets, missed_square, sample_view};
 use crate::tree::{Item, LightTree};
 use luxel_transport::{RayCaster, Sequence};
 
@@ -55,10 +56,9 @@ impl Lottery {
         buffer.rays.clear();
         buffer.owner.clear();
         for g in 0..SUBSETS {
-            let places = Sequence::new(site.key ^ field.salt, 2 * g as u32);
-            let picks = Sequence::new(site.key ^ field.salt, 2 * g as u32 + 1);
+            let sequence = Sequence::new(site.key ^ field.salt, g as u32);
             for i in self.subsets.taken..until {
-                let Some(drawn) = self.lots.draw(picks.point1(i)) else {
+                let Some(drawn) = self.lots.draw(sequence.fifth(i)) else {
                     continue;
                 };
                 let picked = field.tree.pick(
@@ -85,7 +85,7 @@ impl Lottery {
                         light.factor(site.point.as_dvec3(), site.normal.as_dvec3()),
                     ),
                     View::Polygon(view) => {
-                        let (x, weight) = sample_view(&view, places.point2(i));
+                        let (x, weight) = sample_view(&view, sequence.point2(i));
                         (light.segment_to(site.start, x, site.offset), weight)
                     }
                 };
@@ -112,6 +112,7 @@ impl Lottery {
             add(row, o.light, o.weight * v as f64);
             self.lots.count(o.place, v);
         }
+        self.lots.open(field, site);
         self.lots.next_round();
     }
 }
@@ -140,7 +141,10 @@ pub(crate) struct Drawn {
 }
 
 /// An item is never drawn less than this share of what its guess says.
-const LEAST: f32 = 0.1;
+const LEAST: f32 = 0.02;
+/// After so many draws a node of which less than this share arrived is opened.
+const TOLD: f32 = 8.0;
+const MIXED: f32 = 0.75;
 /// So many draws must arrive before their spread is believed.
 const ENOUGH: f32 = 8.0;
 /// After so many draws with hardly an arrival the lights are behind a wall.
@@ -153,6 +157,24 @@ impl Lots {
         self.tally.clear();
         self.tally.resize(self.items.len(), [0.0; 2]);
         self.next_round();
+    }
+
+    /// Opens the nodes of which some draws arrived and some did not: below, what is seen parts
+    /// from what is hidden.
+    fn open(&mut self, field: &Field<'_>, site: &Site) {
+        for place in 0..self.items.len() {
+            let [drawn, seen] = self.tally[place];
+            let mixed = drawn >= TOLD && seen > 0.0 && seen < MIXED * drawn;
+            if let (Item::Node(node), true) = (self.items[place].1, mixed) {
+                let halves = field
+                    .tree
+                    .halves(node, field.lights, site.point, site.normal);
+                self.items[place] = halves[0];
+                self.items.push(halves[1]);
+                self.tally[place] = [0.0; 2];
+                self.tally.push([0.0; 2]);
+            }
+        }
     }
 
     /// Takes what was tallied into account. Within a round the chances stay the same, so that
@@ -200,7 +222,6 @@ impl Lots {
         if seen >= ENOUGH || drawn >= HIDDEN {
             return 0.0;
         }
-        let missed = MISSED * self.whole / (drawn as f64).max(1.0);
-        missed * missed
+        self.whole * self.whole * missed_square(drawn as f64)
     }
 }

@@ -28,8 +28,14 @@ const STRONG: usize = 24;
 /// So many are, however weak.
 const ALWAYS: usize = 3;
 
-/// Share of a ray's light that is feared to be missed while all rays agree.
-pub(crate) const MISSED: f64 = 0.3;
+/// Probability that a light of which nothing is known is partly hidden.
+const PARTLY: f64 = 0.25;
+
+/// Mean square of the share of a light that `rays` missed while all of them agreed: the visible
+/// share is thought to be 0, 1 or, with probability [`PARTLY`], anything between, each as likely.
+pub(crate) fn missed_square(rays: f64) -> f64 {
+    PARTLY * 2.0 / ((rays + 1.0) * (rays + 2.0) * (rays + 3.0))
+}
 
 /// A receiver, ready to send rays.
 #[derive(Clone, Copy)]
@@ -160,8 +166,7 @@ impl Strong<'_> {
     pub fn doubt(&self) -> f64 {
         match self.view {
             View::Polygon(_) if self.agrees() => {
-                let missed = MISSED * self.lux / self.rays().max(1) as f64;
-                missed * missed
+                self.lux * self.lux * missed_square(self.rays() as f64)
             }
             _ => self.variance(),
         }
@@ -240,17 +245,6 @@ impl Strong<'_> {
             self.weight[o.subset as usize] += o.weight;
             self.free[o.subset as usize] += o.weight * v as f64;
             self.seen = [self.seen[0].min(v), self.seen[1].max(v)];
-        }
-    }
-
-    /// Samples in each subset of the first round, for a light of this share of the whole.
-    pub fn first_round(share: f64) -> u32 {
-        if share > 0.05 {
-            8
-        } else if share > 0.01 {
-            4
-        } else {
-            2
         }
     }
 

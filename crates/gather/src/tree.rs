@@ -182,6 +182,26 @@ impl LightTree {
         }
     }
 
+    /// The two items right below a node, each with its guessed irradiance, which may be 0.
+    pub fn halves(
+        &self,
+        node: u32,
+        lights: &[Light],
+        point: Vec3,
+        normal: Vec3,
+    ) -> [(f32, Item); 2] {
+        let Link::Children(first) = self.nodes[node as usize].link else {
+            unreachable!("an item that is a node has children")
+        };
+        [first, first + 1].map(|at| {
+            let item = match self.nodes[at as usize].link {
+                Link::Light(light) => Item::Light(light),
+                Link::Children(_) => Item::Node(at),
+            };
+            (self.guess(at, lights, point, normal, 0.0), item)
+        })
+    }
+
     /// Guessed irradiance from all lights of a node.
     fn guess(&self, at: u32, lights: &[Light], point: Vec3, normal: Vec3, reach: f32) -> f32 {
         let node = &self.nodes[at as usize];

@@ -12,6 +12,7 @@ pub mod points;
 pub mod probe;
 pub mod session;
 pub mod settings;
+mod sites;
 pub mod stage;
 pub mod units;
 pub mod verify;

@@ -7,9 +7,10 @@ use crate::energy::energy;
 use crate::error::Error;
 use crate::session::Session;
 use crate::settings::Settings;
+use crate::sites::Sites;
 use crate::stage::{Stage, peak_memory_bytes};
 use crate::watch::{Status, Watch};
-use crate::work::{self, End};
+use crate::work::{self, End, Gathering};
 use luxel_core::{Solution, View};
 use luxel_gather::{Accuracy, Irradiance};
 use luxel_io::{LitPrimitive, LitScale, StoredSolution};
@@ -61,9 +62,15 @@ pub struct Outcome {
     pub table: String,
 }
 
-/// Gather rays for all vertices together at an accuracy of 5 %; they grow as the inverse square.
+/// Most gather rays for all vertices together at an accuracy of 5 %; they grow as the inverse.
 /// With millions of vertices the eye averages over many, and a pixel shows more than one.
-const MOST_RAYS: f64 = 1.2e8;
+const MOST_RAYS: f64 = 2.4e8;
+
+/// When not even so many rays are left for a vertex, vertices share them.
+const FEW_RAYS: f64 = 256.0;
+
+/// Vertices share within this share of the edge of a mean element.
+const SITE: f32 = 0.25;
 
 /// Lights a scene file. `watch` is told of every step and may stop the job, which then ends with
 /// valid files and a solution that can be resumed.
@@ -113,23 +120,24 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
         session.clock_mut().end(Stage::Mesh);
     }
-    let mut accuracy = session.accuracy(&solution);
-    let most = MOST_RAYS * (0.05 / job.settings.error).powi(2) / mesh.receivers.len().max(1) as f64;
-    let most = (most.clamp(64.0, 1e6) as u32).next_power_of_two();
-    accuracy.rays = accuracy.rays.map(|r| r.min(most));
-    let receivers = std::mem::take(&mut mesh.receivers);
     // The picture needs the sum of the groups alone.
     let (merged, lights) = (solution.merged(), session.lights().merged());
+    let most_rays = MOST_RAYS * 0.05 / job.settings.error;
+    let sites = sites(&mesh, most_rays);
     let (irradiance, gathered) = work::gather(
         &session.gatherer(&merged, &lights),
-        job.settings.time,
-        &receivers,
-        &accuracy,
+        &Gathering {
+            receivers: &sites.receivers,
+            weights: &sites.weights,
+            time: job.settings.time,
+            most_rays,
+            stopped: solved == End::Stopped && job.settings.time.is_none(),
+        },
+        &session.accuracy(&solution),
         watch,
-        solved == End::Stopped && job.settings.time.is_none(),
     );
+    let irradiance = sites.spread(irradiance);
     session.clock_mut().end(Stage::Gather);
-    mesh.receivers = receivers;
     mesh.set_irradiance(&irradiance);
 
     watch(&Status::begin(Stage::Write));
@@ -160,6 +168,18 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         report_json,
         table,
     })
+}
+
+/// Where the light of the vertices is asked: at each, or, when there are too many for the rays,
+/// at one of those that are close together.
+fn sites(mesh: &LitMesh, most_rays: f64) -> Sites {
+    let share = mesh.receivers.len() as f64 * FEW_RAYS > most_rays;
+    let edge_m = if share { SITE * mesh.mean_edge_m } else { 0.0 };
+    let runs = mesh
+        .parts
+        .iter()
+        .map(|p| p.vertices.start as usize..p.vertices.end as usize);
+    Sites::new(&mesh.receivers, &mesh.vertex_areas(), runs, edge_m)
 }
 
 fn make_folder(folder: &Path) -> Result<(), Error> {

@@ -3,7 +3,7 @@
 use crate::session::Session;
 use crate::stage::Stage;
 use crate::watch::Watch;
-use crate::work::{self, End};
+use crate::work::{self, End, Gathering};
 use luxel_gather::{Irradiance, Receiver};
 
 /// What was found at the receivers.
@@ -21,11 +21,15 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
     let accuracy = session.accuracy(&solution);
     let (irradiance, gathered) = work::gather(
         &session.gatherer(&solution, session.lights()),
-        session.settings().time,
-        receivers,
+        &Gathering {
+            receivers,
+            weights: &[],
+            time: session.settings().time,
+            most_rays: f64::INFINITY,
+            stopped: false,
+        },
         &accuracy,
         watch,
-        false,
     );
     session.clock_mut().end(Stage::Gather);
     let columns = irradiance.columns;

@@ -23,7 +23,7 @@ const MOST_REFINEMENTS: u32 = 4;
 
 /// An error below this share of the scene's typical illuminance is small enough, however dark a
 /// receiver is.
-const DARK: f32 = 0.002;
+const DARK: f32 = 0.1;
 
 /// Fewest gather rays for an accuracy of 2 %; they grow as the inverse square.
 const FEWEST_RAYS: f64 = 256.0;
@@ -330,7 +330,7 @@ impl Session {
         let fewest = (FEWEST_RAYS * (0.02 / self.settings.error).powi(2)).clamp(32.0, 512.0) as u32;
         Accuracy {
             relative: self.settings.error as f32,
-            floor_lux: DARK * self.typical_illuminance(solution),
+            floor_lux: DARK * self.settings.error as f32 * self.typical_illuminance(solution),
             rays: [fewest, 16384],
             seed: self.settings.seed,
         }

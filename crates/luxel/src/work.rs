@@ -21,6 +21,15 @@ const HURRIED_RAYS: u32 = 16;
 /// Receivers that are tried first when there is a time bound.
 const PILOT: usize = 512;
 
+/// The fewest rays must be so small a share of the bound before it is thought to suffice untried.
+const SURELY: f64 = 0.1;
+
+/// No error is loosened more than this many times.
+const LOOSEST: f32 = 8.0;
+
+/// Step of the scale that is searched.
+const STEP: f32 = 1.02;
+
 /// Whether a stretch came to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
@@ -68,31 +77,58 @@ pub fn solve(
     End::Reached
 }
 
-/// Irradiance at many receivers, in chunks. With a time bound, a few are tried first, and all get
-/// the accuracy for which the time suffices. When stopped, what is left gets a few rays each, so
-/// that every value is there with its honest, larger error.
+/// Receivers that are to be gathered at, and what it may cost.
+pub struct Gathering<'a> {
+    /// Where.
+    pub receivers: &'a [Receiver],
+    /// What each counts, above 0 (the area that it stands for); empty when all count the same.
+    pub weights: &'a [f32],
+    /// The bound of the whole job.
+    pub time: Option<Duration>,
+    /// About the most rays for all together.
+    pub most_rays: f64,
+    /// Whether the job was stopped before, so that only a hurried answer is wanted.
+    pub stopped: bool,
+}
+
+/// Irradiance at many receivers, in chunks. With bounds that do not suffice for the accuracy, which
+/// a few receivers tell, errors are loosened so that the weighted mean square error is least (see
+/// [`slacks`]). When stopped, what is left gets a few rays each, so that every value is there with
+/// its honest, larger error.
 pub fn gather(
     gatherer: &Gatherer<'_>,
-    time: Option<Duration>,
-    receivers: &[Receiver],
+    gathering: &Gathering<'_>,
     accuracy: &Accuracy,
     watch: &mut Watch<'_>,
-    stopped: bool,
 ) -> (Irradiance, End) {
     let began = Instant::now();
-    let bound = time.map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
+    let receivers = gathering.receivers;
+    let bound = gathering
+        .time
+        .map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
     let mut all = gatherer.irradiance_at(&[], accuracy);
-    let mut end = if stopped { End::Stopped } else { End::Reached };
+    let mut end = if gathering.stopped {
+        End::Stopped
+    } else {
+        End::Reached
+    };
     let mut status = Status::begin(Stage::Gather);
     let mut accuracy = *accuracy;
-    if let (Some(bound), End::Reached) = (bound, end) {
-        accuracy.relative *= slower(gatherer, receivers, &accuracy, bound).sqrt() as f32;
-    }
+    let times = match end {
+        End::Reached => too_dear(gatherer, gathering, &accuracy, bound),
+        End::Stopped => 1.0,
+    };
+    let slack = if times > 1.0 {
+        slacks(gathering, times)
+    } else {
+        Vec::new()
+    };
     for (index, chunk) in receivers.chunks(CHUNK).enumerate() {
         if end == End::Stopped {
             accuracy.rays = [HURRIED_RAYS; 2];
         }
-        let part = gatherer.irradiance_at(chunk, &accuracy);
+        let slack = slack.get(index * CHUNK..).unwrap_or(&[]);
+        let part = gatherer.irradiance_with_slack(chunk, slack, &accuracy);
         all.values.extend(part.values);
         all.layer_errors.extend(part.layer_errors);
         all.errors.extend(part.errors);
@@ -109,13 +145,55 @@ pub fn gather(
     (all, end)
 }
 
-/// How many times `bound` seconds gathering at all receivers would take, at least 1, from
-/// [`PILOT`] of them spread over all.
-fn slower(gatherer: &Gatherer<'_>, receivers: &[Receiver], accuracy: &Accuracy, bound: f64) -> f64 {
+/// How many times the bounds gathering at all receivers would cost, from [`PILOT`] of them spread
+/// over all; 1 when they suffice.
+fn too_dear(
+    gatherer: &Gatherer<'_>,
+    gathering: &Gathering<'_>,
+    accuracy: &Accuracy,
+    bound_s: Option<f64>,
+) -> f64 {
+    let receivers = gathering.receivers;
+    let fewest = accuracy.rays[0] as f64 * receivers.len() as f64;
+    if bound_s.is_none() && fewest < SURELY * gathering.most_rays {
+        return 1.0;
+    }
     let stride = receivers.len().div_ceil(PILOT).max(1);
     let few: Vec<Receiver> = receivers.iter().step_by(stride).copied().collect();
     let began = Instant::now();
-    gatherer.irradiance_at(&few, accuracy);
-    let all = began.elapsed().as_secs_f64() * receivers.len() as f64 / few.len().max(1) as f64;
-    (all / bound.max(1e-3)).max(1.0)
+    let tried = gatherer.irradiance_at(&few, accuracy);
+    let scale = receivers.len() as f64 / few.len().max(1) as f64;
+    let rays = tried.rays as f64 * scale / gathering.most_rays;
+    let time = bound_s.map_or(0.0, |b| began.elapsed().as_secs_f64() * scale / b.max(1e-3));
+    rays.max(time).max(1.0)
+}
+
+/// How much each receiver's error may be loosened so that all cost so many times less.
+///
+/// Cost falls with the square of the error. The weighted sum of square errors is least for
+/// errors in proportion to the fourth root of one over the weight [Neyman34]; none is loosened
+/// more than [`LOOSEST`] times, and none is tightened.
+fn slacks(gathering: &Gathering<'_>, times: f64) -> Vec<f32> {
+    let weight = |k: usize| {
+        gathering
+            .weights
+            .get(k)
+            .copied()
+            .unwrap_or(1.0)
+            .max(f32::MIN_POSITIVE)
+    };
+    let shape: Vec<f32> = (0..gathering.receivers.len())
+        .map(|k| weight(k).powf(-0.25))
+        .collect();
+    let slack = |s: f32, scale: f32| (s * scale).clamp(1.0, LOOSEST);
+    let cost = |scale: f32| -> f64 {
+        let each = shape.iter().map(|&s| slack(s, scale).powi(-2) as f64);
+        each.sum::<f64>() / shape.len().max(1) as f64
+    };
+    // The cost falls as the scale grows, over some decades of weights.
+    let mut scale = shape.iter().copied().fold(f32::INFINITY, f32::min).recip();
+    while cost(scale) * times > 1.0 && cost(scale) > (LOOSEST as f64).powi(-2) {
+        scale *= STEP;
+    }
+    shape.iter().map(|&s| slack(s, scale)).collect()
 }

@@ -78,6 +78,9 @@ pub struct LitMesh {
     quads: Vec<u32>,
     /// Elements of the front that it was built for.
     elements: usize,
+    /// Edge of a square as large as the mean flat element, weighted by area, metres; infinite
+    /// when there is none.
+    pub mean_edge_m: f32,
 }
 
 impl LitMesh {
@@ -100,17 +103,18 @@ impl LitMesh {
                 (a.0, a.1) == (b.0, b.1)
             })
             .collect();
-        let longest_m = LONGEST_EDGE * mean_edge(front);
+        let mean_edge_m = mean_edge(front);
         let built: Vec<Built> = runs
             .par_iter()
             .map(|elements| {
                 Builder::new(scene, front, &sources, elements)
                     .finish(caster)
-                    .divided(longest_m)
+                    .divided(LONGEST_EDGE * mean_edge_m)
             })
             .collect();
         let mut mesh = LitMesh {
             elements: front.len(),
+            mean_edge_m,
             ..LitMesh::default()
         };
         for (part, elements) in built.into_iter().zip(&runs) {
@@ -199,6 +203,16 @@ impl LitMesh {
                 self.triangles[first + 1] = [b, d, a];
             }
         }
+    }
+
+    /// Area that each vertex stands for, m²: a third of the triangles around it.
+    pub fn vertex_areas(&self) -> Vec<f32> {
+        let mut areas = vec![0.0; self.positions.len()];
+        for (t, corners) in self.triangles.iter().enumerate() {
+            let third = (self.area(t) / 3.0) as f32;
+            corners.iter().for_each(|&v| areas[v as usize] += third);
+        }
+        areas
     }
 
     /// Area of a triangle, m².
