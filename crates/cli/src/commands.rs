@@ -2,7 +2,7 @@
 
 use crate::arguments::{Arguments, Command, Common, Inspect, Light, Probe, Verify, settings};
 use crate::terminal;
-use luxel::{Control, LightJob, Session, points};
+use luxel::{Control, LightJob, Session, Status, points};
 use std::io::{Read, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -64,6 +64,22 @@ fn stop_on_interrupt() -> Arc<AtomicBool> {
     stop
 }
 
+/// Shows progress; answers with what Ctrl-C wants.
+fn watch(progress: &mut terminal::Progress, stop: &AtomicBool, status: &Status) -> Control {
+    progress.show(status);
+    if stop.load(Ordering::SeqCst) {
+        Control::Stop
+    } else {
+        Control::Go
+    }
+}
+
+/// Ends a job that was stopped before it had anything to show.
+fn stopped(error: &luxel::Error) -> Result<Outcome, String> {
+    eprintln!("luxel: {error}");
+    Ok(Outcome::Short)
+}
+
 fn print(text: &str) -> Result<(), String> {
     match std::io::stdout().lock().write_all(text.as_bytes()) {
         // The reader of a pipe has what it wanted.
@@ -83,16 +99,12 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
         view: arguments.view.clone(),
         settings: settings(&arguments.scene, Some(&arguments.solve), &arguments.common),
     };
-    let outcome = luxel::light(&job, &mut |status| {
-        progress.show(status);
-        if stop.load(Ordering::SeqCst) {
-            Control::Stop
-        } else {
-            Control::Go
-        }
-    });
+    let outcome = luxel::light(&job, &mut |status| watch(&mut progress, &stop, status));
     progress.end();
-    let outcome = outcome.map_err(|e| e.to_string())?;
+    let outcome = match outcome {
+        Err(e @ luxel::Error::Stopped) => return stopped(&e),
+        other => other.map_err(|e| e.to_string())?,
+    };
     if arguments.common.json {
         print(&(outcome.report_json + "\n"))?;
     } else if !arguments.common.quiet {
@@ -118,16 +130,12 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     let stop = stop_on_interrupt();
     let settings = settings(&arguments.scene, Some(&arguments.solve), &arguments.common);
     let mut progress = terminal::Progress::new(arguments.common.quiet);
-    let mut session =
-        Session::open(&arguments.scene.scene, &settings).map_err(|e| e.to_string())?;
-    let answer = luxel::probe(&mut session, &receivers, &mut |status| {
-        progress.show(status);
-        if stop.load(Ordering::SeqCst) {
-            Control::Stop
-        } else {
-            Control::Go
-        }
-    });
+    let mut watch = |status: &Status| watch(&mut progress, &stop, status);
+    let mut session = match Session::open_watched(&arguments.scene.scene, &settings, &mut watch) {
+        Err(e @ luxel::Error::Stopped) => return stopped(&e),
+        other => other.map_err(|e| e.to_string())?,
+    };
+    let answer = luxel::probe(&mut session, &receivers, &mut watch);
     progress.end();
     if !arguments.common.quiet {
         for warning in session.warnings().iter() {

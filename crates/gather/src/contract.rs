@@ -1,6 +1,6 @@
 //! What is asked at a receiver and what is answered.
 
-use luxel_core::Vec3;
+use luxel_core::{Rgb, Vec3};
 
 /// A point that light falls on: on a surface or a hair above it, or free in the room.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,4 +61,70 @@ pub struct Irradiance {
     pub errors: Vec<f32>,
     /// Gather and shadow rays used.
     pub rays: u64,
+}
+
+impl Irradiance {
+    /// All groups together at a receiver, lux of each band. What is random in it may lie a hair
+    /// below zero or, from absurd input, be no number: both are 0 here.
+    pub fn total(&self, receiver: usize) -> Rgb {
+        let row = &self.values[receiver * self.columns..(receiver + 1) * self.columns];
+        let band = |band: usize| {
+            row.iter()
+                .skip(band)
+                .step_by(3)
+                .map(|&v| v as f64)
+                .sum::<f64>()
+        };
+        Rgb::from([0, 1, 2].map(|b| {
+            let value = band(b) as f32;
+            if value.is_finite() {
+                value.max(0.0)
+            } else {
+                0.0
+            }
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn groups_are_summed_and_bad_numbers_are_dark() {
+        let answers = Irradiance {
+            columns: 6,
+            values: vec![
+                1.0,
+                2.0,
+                3.0,
+                10.0,
+                20.0,
+                30.0,
+                f32::NAN,
+                -1.0,
+                1.0,
+                0.0,
+                0.5,
+                0.0,
+            ],
+            ..Irradiance::default()
+        };
+        assert_eq!(answers.total(0), Rgb::new(11.0, 22.0, 33.0));
+        assert_eq!(answers.total(1), Rgb::new(0.0, 0.0, 1.0));
+    }
+
+    #[test]
+    fn loosened_asks_for_fewer_rays() {
+        let accuracy = Accuracy {
+            relative: 0.02,
+            floor_lux: 0.1,
+            rays: [256, 16384],
+            seed: 1,
+        };
+        assert_eq!(accuracy.loosened(0.5), accuracy);
+        let loose = accuracy.loosened(2.0);
+        assert_eq!((loose.relative, loose.rays), (0.04, [64, 4096]));
+        assert_eq!(accuracy.loosened(8.0).rays, [16, 256]);
+    }
 }

@@ -14,6 +14,7 @@ use luxel_core::{ElementId, Front, Scene, Vec3};
 use luxel_transport::sampling::hash;
 use luxel_transport::{Ray, RayCaster, Sequence};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// How carefully elements look at the lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,8 +82,20 @@ impl DirectLights {
         caster: &dyn RayCaster,
         settings: &ElementDirect,
     ) -> Vec<f32> {
+        self.element_irradiance_of(0..front.len(), scene, front, caster, settings)
+    }
+
+    /// As [`DirectLights::element_irradiance`], of a run of the elements.
+    pub fn element_irradiance_of(
+        &self,
+        elements: Range<usize>,
+        scene: &Scene,
+        front: &Front,
+        caster: &dyn RayCaster,
+        settings: &ElementDirect,
+    ) -> Vec<f32> {
         let columns = self.columns;
-        let mut out = vec![0.0; front.len() * columns];
+        let mut out = vec![0.0; elements.len() * columns];
         if self.is_empty() {
             return out;
         }
@@ -96,7 +109,7 @@ impl DirectLights {
         out.par_chunks_mut(BATCH * columns)
             .enumerate()
             .for_each_init(Scratch::default, |scratch, (k, out)| {
-                job.batch(k * BATCH, out, scratch);
+                job.batch(elements.start + k * BATCH, out, scratch);
             });
         out
     }

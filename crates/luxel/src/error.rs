@@ -19,6 +19,9 @@ pub enum Error {
         /// The system's answer.
         source: std::io::Error,
     },
+    /// Stopped by whoever watches before there was anything to show.
+    #[error("stopped before there was any light; nothing was written")]
+    Stopped,
     /// The memory bound is too small for this scene.
     #[error("{scene}: needs about {needed_mb} MB, more than --memory allows ({bound_mb} MB)")]
     Memory {

@@ -9,10 +9,9 @@ use crate::session::Session;
 use crate::settings::Settings;
 use crate::sites::Sites;
 use crate::stage::{Stage, peak_memory_bytes};
-use crate::watch::{Status, Watch};
-use crate::work::{self, End, Gathering};
-use luxel_core::{Solution, View};
-use luxel_gather::{Accuracy, Irradiance};
+use crate::watch::{Status, Watch, enter};
+use crate::work::{self, End, Gathering, Rest};
+use luxel_core::{Rgb, Solution, View};
 use luxel_io::{LitPrimitive, LitScale, StoredSolution};
 use luxel_visualise::preview::render;
 use luxel_visualise::report::{self, Report, State};
@@ -24,11 +23,11 @@ use std::time::{Duration, Instant};
 /// Name of the solution file in the output folder.
 const SOLUTION: &str = "solution.luxel";
 
-/// The first picture, of an unfinished solution, is made with this many rays a vertex.
-const FIRST_RAYS: u32 = 16;
+/// Pixels of the first picture, which has to be there within a second.
+const FIRST_SIZE: [usize; 2] = [960, 540];
 
 /// A scene with more vertices than this shows its first picture only when it is finished.
-const FIRST_VERTICES: usize = 150_000;
+const FIRST_VERTICES: usize = 1_000_000;
 
 /// The solution is stored at most this often while it is being solved.
 const STORE_EVERY: Duration = Duration::from_secs(20);
@@ -79,8 +78,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         .output
         .clone()
         .unwrap_or_else(|| job.scene.with_extension("lit"));
-    watch(&Status::begin(Stage::Read));
-    let mut session = Session::open(&job.scene, &job.settings)?;
+    let mut session = Session::open_watched(&job.scene, &job.settings, watch)?;
     let view = choose_view(&session, job.view.as_deref())?;
     make_folder(&folder)?;
     let stored_at = folder.join(SOLUTION);
@@ -91,6 +89,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
     }
 
     let elements = session.front().len();
+    enter(watch, &Status::begin(Stage::Mesh))?;
     let mut mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
     session.clock_mut().end(Stage::Mesh);
     let mut shown = false;
@@ -120,36 +119,27 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
         session.clock_mut().end(Stage::Mesh);
     }
-    // The picture needs the sum of the groups alone.
-    let (merged, lights) = (solution.merged(), session.lights().merged());
-    let most_rays = MOST_RAYS * 0.05 / job.settings.error;
-    let sites = sites(&mesh, most_rays);
-    let (irradiance, gathered) = work::gather(
-        &session.gatherer(&merged, &lights),
-        &Gathering {
-            receivers: &sites.receivers,
-            weights: &sites.weights,
-            time: job.settings.time,
-            most_rays,
-            stopped: solved == End::Stopped && job.settings.time.is_none(),
-        },
-        &session.accuracy(&solution),
-        watch,
-    );
-    let irradiance = sites.spread(irradiance);
+    let (rays, gathered) = match solved {
+        // Stopped by the user, not by the clock.
+        End::Stopped if job.settings.time.is_none() => {
+            let (values, errors) = of_elements(&session, &solution, &mesh);
+            mesh.set_light(values, errors);
+            (0, End::Stopped)
+        }
+        _ => gather(&session, &solution, &mut mesh, watch),
+    };
     session.clock_mut().end(Stage::Gather);
-    mesh.set_irradiance(&irradiance);
 
     watch(&Status::begin(Stage::Write));
     let stopped = solved == End::Stopped || gathered == End::Stopped;
-    let exposure = write_picture(&session, &mesh, &view, &folder)?;
+    let exposure = write_picture(&session, &mesh, &view, &PreviewSettings::default(), &folder)?;
     write_lit_scene(&session, &mesh, &folder.join("scene.glb"))?;
     let report = make_report(
         job,
         &mut session,
         &solution,
         &mesh,
-        &irradiance,
+        rays,
         &exposure,
         stopped,
     );
@@ -168,6 +158,51 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         report_json,
         table,
     })
+}
+
+/// Illuminance of the vertices and its error, from the elements alone.
+fn of_elements(session: &Session, solution: &Solution, mesh: &LitMesh) -> (Vec<Rgb>, Vec<f32>) {
+    let received = session.received(solution);
+    let values = mesh.of_elements(&received);
+    let error = |value: &Rgb| solution.relative_error * value.luminance();
+    let errors = values.iter().map(error).collect();
+    (values, errors)
+}
+
+/// Asks the light of the vertices, as far as there is time; the rest has that of its elements.
+/// Answers with the rays that it took.
+fn gather(
+    session: &Session,
+    solution: &Solution,
+    mesh: &mut LitMesh,
+    watch: &mut Watch<'_>,
+) -> (u64, End) {
+    // The picture needs the sum of the groups alone.
+    let (merged, lights) = (solution.merged(), session.lights().merged());
+    let settings = session.settings();
+    let most_rays = MOST_RAYS * 0.05 / settings.error;
+    let sites = sites(mesh, most_rays);
+    let (asked, end) = work::gather(
+        &session.gatherer(&merged, &lights),
+        &Gathering {
+            receivers: &sites.receivers,
+            weights: &sites.weights,
+            time: settings.time,
+            most_rays,
+            rest: Rest::LeftOut,
+        },
+        &session.accuracy(solution),
+        watch,
+    );
+    let (mut values, mut errors) = of_elements(session, solution, mesh);
+    for v in 0..values.len() {
+        let site = sites.of(v);
+        if let Some(&error) = asked.errors.get(site) {
+            (values[v], errors[v]) = (asked.total(site), error);
+        }
+    }
+    mesh.set_light(values, errors);
+    (asked.rays, end)
 }
 
 /// Where the light of the vertices is asked: at each, or, when there are too many for the rays,
@@ -218,16 +253,15 @@ fn first_picture(
     folder: &Path,
 ) -> Result<(), Error> {
     let displayed = session.displayed();
-    let accuracy = Accuracy {
-        rays: [FIRST_RAYS; 2],
-        ..session.accuracy(&displayed)
+    let (values, errors) = of_elements(session, &displayed, mesh);
+    mesh.set_light(values, errors);
+    let [width, height] = FIRST_SIZE;
+    let first = PreviewSettings {
+        width,
+        height,
+        ..PreviewSettings::default()
     };
-    let lights = session.lights().merged();
-    let irradiance = session
-        .gatherer(&displayed.merged(), &lights)
-        .irradiance_at(&mesh.receivers, &accuracy);
-    mesh.set_irradiance(&irradiance);
-    let written = write_picture(session, mesh, view, folder);
+    let written = write_picture(session, mesh, view, &first, folder);
     session.clock_mut().end(Stage::Write);
     written.map(|_| ())
 }
@@ -237,9 +271,10 @@ fn write_picture(
     session: &Session,
     mesh: &LitMesh,
     view: &View,
+    settings: &PreviewSettings,
     folder: &Path,
 ) -> Result<Exposure, Error> {
-    let (picture, exposure) = render(session.scene(), mesh, view, &PreviewSettings::default());
+    let (picture, exposure) = render(session.scene(), mesh, view, settings);
     let path = folder.join("preview.png");
     let png = picture.png().map_err(|e| Error::Write {
         path: path.clone(),
@@ -313,7 +348,7 @@ fn make_report(
     session: &mut Session,
     solution: &Solution,
     mesh: &LitMesh,
-    irradiance: &Irradiance,
+    gather_rays: u64,
     exposure: &Exposure,
     stopped: bool,
 ) -> Report {
@@ -337,8 +372,8 @@ fn make_report(
             }
         });
     let state = match (stopped, reached <= asked) {
-        (_, true) => State::Finished,
-        (true, false) => State::Stopped,
+        (true, _) => State::Stopped,
+        (false, true) => State::Finished,
         (false, false) => State::NotMet,
     };
     Report {
@@ -360,7 +395,7 @@ fn make_report(
             elements: session.front().len() as u64,
             vertices: mesh.positions.len() as u64,
             solver_work: solution.work,
-            gather_rays: irradiance.rays,
+            gather_rays,
             steps: progress.step as u64,
             groups: session.layers().groups.len() as u64,
             threads: rayon::current_num_threads() as u64,

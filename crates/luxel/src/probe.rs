@@ -3,7 +3,7 @@
 use crate::session::Session;
 use crate::stage::Stage;
 use crate::watch::Watch;
-use crate::work::{self, End, Gathering};
+use crate::work::{self, End, Gathering, Rest};
 use luxel_gather::{Irradiance, Receiver};
 
 /// What was found at the receivers.
@@ -26,7 +26,7 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
             weights: &[],
             time: session.settings().time,
             most_rays: f64::INFINITY,
-            stopped: false,
+            rest: Rest::Hurried,
         },
         &accuracy,
         watch,

@@ -8,13 +8,15 @@ use crate::error::Error;
 use crate::matter::Matter;
 use crate::settings::Settings;
 use crate::stage::{Clock, Stage};
+use crate::watch::{Control, Status, Watch, enter};
 use luxel_core::quantity::Exitance;
-use luxel_core::{Front, Layers, Rgb, Scene, Solution, Warnings};
+use luxel_core::{ElementId, Front, Layers, Rgb, Scene, Solution, Warnings};
 use luxel_gather::{Accuracy, DirectLights, ElementDirect, Gatherer, Irradiance, Receiver};
 use luxel_io::{Document, Source, scene_ops};
 use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
 use luxel_solve::{Progress, Solver, SolverSettings, Transport};
 use luxel_transport::{Bvh, FrontLines, Matrix, MatrixSettings, RayCaster};
+use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -85,7 +87,17 @@ pub fn read(path: &Path, settings: &Settings) -> Result<Document, Error> {
 impl Session {
     /// Reads a scene file and makes it ready to solve.
     pub fn open(path: &Path, settings: &Settings) -> Result<Session, Error> {
+        Session::open_watched(path, settings, &mut unwatched)
+    }
+
+    /// As [`Session::open`]; `watch` is told of the stages and may stop it, which is an error.
+    pub fn open_watched(
+        path: &Path,
+        settings: &Settings,
+        watch: &mut Watch<'_>,
+    ) -> Result<Session, Error> {
         let mut clock = Clock::start();
+        enter(watch, &Status::begin(Stage::Read))?;
         let document = read(path, settings)?;
         clock.end(Stage::Read);
         Session::start(
@@ -94,12 +106,20 @@ impl Session {
             document.warnings,
             settings,
             clock,
+            watch,
         )
     }
 
     /// Makes a scene that is in memory ready to solve.
     pub fn new(scene: Scene, settings: &Settings) -> Result<Session, Error> {
-        Session::start(scene, None, Warnings::default(), settings, Clock::start())
+        Session::start(
+            scene,
+            None,
+            Warnings::default(),
+            settings,
+            Clock::start(),
+            &mut unwatched,
+        )
     }
 
     fn start(
@@ -108,6 +128,7 @@ impl Session {
         mut warnings: Warnings,
         settings: &Settings,
         mut clock: Clock,
+        watch: &mut Watch<'_>,
     ) -> Result<Session, Error> {
         let mut mesh = mesh_settings(&read, settings);
         let needed = memory_estimate(&read, mesh.max_elements);
@@ -118,6 +139,7 @@ impl Session {
                 bound_mb: settings.memory / 1_000_000,
             });
         }
+        enter(watch, &Status::begin(Stage::Prepare))?;
         let prepare = PrepareSettings::for_mesh(&mesh);
         let scene = Arc::new(luxel_mesh::prepare(read, &prepare, &mut warnings));
         let caster = Bvh::build(&scene);
@@ -130,6 +152,7 @@ impl Session {
             // A stored matrix grows with the square of the elements.
             mesh = MeshSettings::for_scene(&scene, MATRIX_ELEMENTS);
         }
+        enter(watch, &Status::begin(Stage::Mesh))?;
         let mut strategy = settings.mesh.build(mesh);
         let front = strategy.initial(&scene);
         clock.end(Stage::Mesh);
@@ -156,12 +179,12 @@ impl Session {
             refinements: 0,
             clock,
         };
-        session.take_front()?;
+        session.take_front(watch)?;
         Ok(session)
     }
 
     /// What depends on the front alone: direct light of its elements, and its form factors.
-    fn take_front(&mut self) -> Result<(), Error> {
+    fn take_front(&mut self, watch: &mut Watch<'_>) -> Result<(), Error> {
         self.lights = DirectLights::new(&self.scene, &self.front);
         let samples = if self.front.len() > MANY_ELEMENTS {
             4
@@ -173,9 +196,21 @@ impl Session {
             seed: self.settings.seed,
             ..ElementDirect::default()
         };
-        let direct =
-            self.lights
-                .element_irradiance(&self.scene, &self.front, &self.caster, &settings);
+        let elements = self.front.len();
+        let mut direct = Vec::with_capacity(elements * self.matter.layers().columns());
+        let mut status = Status::begin(Stage::Direct);
+        for first in (0..elements).step_by(RUN) {
+            status.share = first as f64 / elements as f64;
+            enter(watch, &status)?;
+            let run = first..(first + RUN).min(elements);
+            direct.extend(self.lights.element_irradiance_of(
+                run,
+                &self.scene,
+                &self.front,
+                &self.caster,
+                &settings,
+            ));
+        }
         self.matter = Matter::new(&self.scene, &self.front, &self.lights, &direct);
         self.clock.end(Stage::Direct);
         if !self.settings.solver.needs_lines() {
@@ -200,6 +235,7 @@ impl Session {
                 seed: self.settings.seed,
                 ..MatrixSettings::default()
             };
+            enter(watch, &Status::begin(Stage::Factors))?;
             self.factors = Some(Matrix::assemble(
                 &self.scene,
                 &self.front,
@@ -241,7 +277,7 @@ impl Session {
         self.refinements += 1;
         self.front = front;
         self.clock.end(Stage::Mesh);
-        if self.take_front().is_err() {
+        if self.take_front(&mut unwatched).is_err() {
             // More factors than memory holds: this front is the last.
             self.refinements = MOST_REFINEMENTS;
         }
@@ -287,6 +323,31 @@ impl Session {
             Rgb::BLACK
         };
         Exitance::new(solution.total(element) + own)
+    }
+
+    /// Illuminance of every element, all groups together, lux of each band; 0 where a band is not
+    /// reflected.
+    pub fn received(&self, solution: &Solution) -> Vec<Rgb> {
+        let (front, lights) = (&self.front, &self.lights);
+        let of_element = |e: usize| {
+            let is_source = front.group(ElementId::from(e)).is_some();
+            let own = if is_source && !lights.is_direct(front.patch[e]) {
+                front.emission[e]
+            } else {
+                Rgb::BLACK
+            };
+            let (leaving, own) = (solution.total(e).to_array(), own.to_array());
+            let rho = front.reflectance[e].to_array();
+            Rgb::from([0, 1, 2].map(|band| {
+                let reflected = (leaving[band] - own[band]).max(0.0);
+                if rho[band] > 0.0 {
+                    reflected / rho[band]
+                } else {
+                    0.0
+                }
+            }))
+        };
+        (0..front.len()).into_par_iter().map(of_element).collect()
     }
 
     /// Takes up a stored solution of this very scene and settings.
@@ -441,6 +502,14 @@ fn transport<'a>(factors: &'a Option<Matrix>, lines: &'a FrontLines<'a>) -> Tran
         None => Transport::Lines(lines),
     }
 }
+
+/// Nobody watches.
+fn unwatched(_: &Status) -> Control {
+    Control::Go
+}
+
+/// Elements between two looks at the watch; a multiple of what is computed at once.
+const RUN: usize = 1 << 14;
 
 /// Of more elements each looks at a light from fewer points: neighbours even it out.
 const MANY_ELEMENTS: usize = 100_000;

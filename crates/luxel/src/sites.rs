@@ -6,7 +6,7 @@
 //! them is asked.
 
 use luxel_core::Vec3;
-use luxel_gather::{Irradiance, Receiver};
+use luxel_gather::Receiver;
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -88,27 +88,9 @@ impl Sites {
         }
     }
 
-    /// The answers of the sites, handed to all receivers.
-    pub fn spread(&self, answers: Irradiance) -> Irradiance {
-        if self.site.is_empty() {
-            return answers;
-        }
-        let (columns, groups) = (answers.columns, answers.columns / 3);
-        let row = |values: &[f32], width: usize| -> Vec<f32> {
-            let mut all = Vec::with_capacity(self.site.len() * width);
-            for &s in &self.site {
-                let first = s as usize * width;
-                all.extend_from_slice(&values[first..first + width]);
-            }
-            all
-        };
-        Irradiance {
-            columns,
-            values: row(&answers.values, columns),
-            layer_errors: row(&answers.layer_errors, groups),
-            errors: row(&answers.errors, 1),
-            rays: answers.rays,
-        }
+    /// The site that answers for a receiver.
+    pub fn of(&self, receiver: usize) -> usize {
+        self.site.get(receiver).map_or(receiver, |&s| s as usize)
     }
 }
 
@@ -146,19 +128,11 @@ mod tests {
         ];
         let weights = [1.0; 7];
         let sites = Sites::new(&all, &weights, [0..6, 6..7].into_iter(), 0.1);
-        assert_eq!(sites.site, [0, 0, 0, 1, 2, 3, 4]);
+        let of: Vec<usize> = (0..7).map(|k| sites.of(k)).collect();
+        assert_eq!(of, [0, 0, 0, 1, 2, 3, 4]);
         assert_eq!(sites.receivers[0], all[1]);
         assert_eq!(sites.weights, [3.0, 1.0, 1.0, 1.0, 1.0]);
-        let answers = Irradiance {
-            columns: 3,
-            values: (0..15).map(|k| k as f32).collect(),
-            layer_errors: (0..5).map(|k| k as f32).collect(),
-            errors: (0..5).map(|k| k as f32).collect(),
-            rays: 9,
-        };
-        let spread = sites.spread(answers);
-        assert_eq!(spread.errors, [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0]);
-        assert_eq!(spread.values[18..], [12.0, 13.0, 14.0]);
-        assert_eq!((spread.columns, spread.rays), (3, 9));
+        let alone = Sites::new(&all, &weights, std::iter::empty(), 0.0);
+        assert_eq!((alone.receivers.len(), alone.of(5)), (7, 5));
     }
 }

@@ -1,5 +1,6 @@
 //! How far a job is, told to whoever watches, who may stop it.
 
+use crate::error::Error;
 use crate::stage::Stage;
 
 /// How far a job is.
@@ -41,3 +42,12 @@ pub enum Control {
 
 /// Told of every step; answers whether to go on.
 pub type Watch<'a> = dyn FnMut(&Status) -> Control + 'a;
+
+/// Says that a stage begins; an error when the watcher wants no more, for stages before there is
+/// anything to keep.
+pub(crate) fn enter(watch: &mut Watch<'_>, status: &Status) -> Result<(), Error> {
+    match watch(status) {
+        Control::Go => Ok(()),
+        Control::Stop => Err(Error::Stopped),
+    }
+}

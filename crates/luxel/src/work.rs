@@ -87,14 +87,22 @@ pub struct Gathering<'a> {
     pub time: Option<Duration>,
     /// About the most rays for all together.
     pub most_rays: f64,
-    /// Whether the job was stopped before, so that only a hurried answer is wanted.
-    pub stopped: bool,
+    /// What becomes of the rest when the gathering is stopped.
+    pub rest: Rest,
+}
+
+/// What becomes of receivers for which there is no time left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rest {
+    /// They get a few rays each, and have an honest, larger error.
+    Hurried,
+    /// They are left out: the answer is shorter.
+    LeftOut,
 }
 
 /// Irradiance at many receivers, in chunks. With bounds that do not suffice for the accuracy, which
 /// a few receivers tell, errors are loosened so that the weighted mean square error is least (see
-/// [`slacks`]). When stopped, what is left gets a few rays each, so that every value is there with
-/// its honest, larger error.
+/// [`slacks`]).
 pub fn gather(
     gatherer: &Gatherer<'_>,
     gathering: &Gathering<'_>,
@@ -107,17 +115,10 @@ pub fn gather(
         .time
         .map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
     let mut all = gatherer.irradiance_at(&[], accuracy);
-    let mut end = if gathering.stopped {
-        End::Stopped
-    } else {
-        End::Reached
-    };
+    let mut end = End::Reached;
     let mut status = Status::begin(Stage::Gather);
     let mut accuracy = *accuracy;
-    let times = match end {
-        End::Reached => too_dear(gatherer, gathering, &accuracy, bound),
-        End::Stopped => 1.0,
-    };
+    let times = too_dear(gatherer, gathering, &accuracy, bound);
     let slack = if times > 1.0 {
         slacks(gathering, times)
     } else {
@@ -125,6 +126,9 @@ pub fn gather(
     };
     for (index, chunk) in receivers.chunks(CHUNK).enumerate() {
         if end == End::Stopped {
+            if gathering.rest == Rest::LeftOut {
+                break;
+            }
             accuracy.rays = [HURRIED_RAYS; 2];
         }
         let slack = slack.get(index * CHUNK..).unwrap_or(&[]);

@@ -9,6 +9,7 @@ pub mod auto_view;
 mod glyphs;
 pub mod lit_mesh;
 mod long_edges;
+mod outlines;
 mod places;
 pub mod preview;
 mod raster;

@@ -10,34 +10,21 @@
 //! on an edge are taken over by the coarser element, which is then a fan around its centre: no
 //! cracks and no jump of light [Baum91].
 //!
-//! The light at a vertex is asked a little inside its elements (see [`INSET`]): exactly on the
-//! edge a receiver lies in the plane of the next wall, and rounding decides what it sees.
+//! The vertices are found in `outlines`.
 //!
 //! Source: [Baum91] for the requirements on a mesh; the split by mutual sight is ours.
 
-use crate::long_edges::halve;
-use crate::places::{Places, Sources};
-use luxel_core::{Front, Patch, Rgb, Scene, Shape, Side, SurfaceId, Vec2, Vec3};
-use luxel_gather::{Irradiance, Receiver};
-use luxel_transport::{Ray, RayCaster};
+use crate::outlines::{Built, Outlines};
+use crate::places::Sources;
+use luxel_core::{Front, Rgb, Scene, Shape, Side, SurfaceId, Vec2, Vec3};
+use luxel_gather::Receiver;
+use luxel_transport::RayCaster;
 use rayon::prelude::*;
 use std::ops::Range;
-
-/// How far a receiver moves from a corner towards the centre of its element, as a share.
-pub const INSET: f32 = 0.1;
 
 /// Longest edge drawn without a vertex in between, in edges of a mean element: those of right
 /// triangles stay whole.
 const LONGEST_EDGE: f32 = 2.0;
-
-/// Most vertices that dividing long edges may add, as a multiple of those that are there.
-const MOST_ADDED: usize = 4;
-
-/// Facets of a cluster whose normals differ by less than this share a vertex: cosine of 30 degrees.
-const COS_CREASE: f32 = 0.866;
-
-/// More elements than this around one vertex (the pole of a sphere) are not tested for sight.
-const MAX_RING: usize = 16;
 
 /// One side of one surface in a [`LitMesh`].
 #[derive(Clone, Debug, PartialEq)]
@@ -76,6 +63,9 @@ pub struct LitMesh {
     pub parts: Vec<LitPart>,
     /// First of the two triangles of each plain quadrilateral element: its diagonal is free.
     quads: Vec<u32>,
+    /// Elements around each vertex: the runs of `around` between two entries of `first_around`.
+    first_around: Vec<u32>,
+    around: Vec<u32>,
     /// Elements of the front that it was built for.
     elements: usize,
     /// Edge of a square as large as the mean flat element, weighted by area, metres; infinite
@@ -107,13 +97,14 @@ impl LitMesh {
         let built: Vec<Built> = runs
             .par_iter()
             .map(|elements| {
-                Builder::new(scene, front, &sources, elements)
+                Outlines::new(scene, front, &sources, elements)
                     .finish(caster)
                     .divided(LONGEST_EDGE * mean_edge_m)
             })
             .collect();
         let mut mesh = LitMesh {
             elements: front.len(),
+            first_around: vec![0],
             mean_edge_m,
             ..LitMesh::default()
         };
@@ -130,6 +121,8 @@ impl LitMesh {
             self.positions.push(v.position);
             self.normals.push(v.receiver.normal);
             self.receivers.push(v.receiver);
+            self.around.extend_from_slice(&v.elements);
+            self.first_around.push(self.around.len() as u32);
             if textured {
                 self.uvs.push(v.uv);
             }
@@ -159,39 +152,31 @@ impl LitMesh {
         &self.receivers
     }
 
-    /// Takes the answers for [`LitMesh::receivers`], sums the groups, and lays the diagonal of
-    /// each quadrilateral element along the smaller step of light, which hides the mesh.
+    /// What each vertex has of its elements: the mean of those around it.
     ///
-    /// Precondition: one answer a vertex.
-    pub fn set_irradiance(&mut self, answers: &Irradiance) {
-        self.set_dimmed(answers, &[]);
+    /// `of_element` has an entry for each element of the front that the mesh was built for.
+    pub fn of_elements(&self, of_element: &[Rgb]) -> Vec<Rgb> {
+        let mean = |run: &[u32]| {
+            let around = &self.around[run[0] as usize..run[1] as usize];
+            let sum = around.iter().fold([0.0f64; 3], |sum, &e| {
+                let e = of_element[e as usize].to_array();
+                std::array::from_fn(|band| sum[band] + e[band] as f64)
+            });
+            Rgb::from(sum.map(|s| (s / around.len().max(1) as f64) as f32))
+        };
+        self.first_around.par_windows(2).map(mean).collect()
     }
 
-    /// As [`LitMesh::set_irradiance`], with a factor for each group (missing factors are 1).
-    pub fn set_dimmed(&mut self, answers: &Irradiance, dimming: &[f32]) {
-        let columns = answers.columns.max(3);
-        debug_assert_eq!(answers.values.len(), columns * self.positions.len());
-        let row = |values: &[f32]| {
-            let mut sum = [0.0f64; 3];
-            for (group, bands) in values.chunks_exact(3).enumerate() {
-                let factor = dimming.get(group).copied().unwrap_or(1.0) as f64;
-                for band in 0..3 {
-                    sum[band] += bands[band] as f64 * factor;
-                }
-            }
-            // An estimate may fall a hair under zero; light does not.
-            Rgb::from(sum.map(|v| {
-                if v.is_finite() {
-                    v.max(0.0) as f32
-                } else {
-                    0.0
-                }
-            }))
-        };
-        self.irradiance = answers.values.par_chunks(columns).map(row).collect();
-        self.irradiance.resize(self.positions.len(), Rgb::BLACK);
-        self.errors = answers.errors.clone();
-        self.errors.resize(self.positions.len(), 0.0);
+    /// Takes the illuminance of all groups together, and its standard error, lux, at each vertex,
+    /// and lays the diagonal of each quadrilateral element along the smaller step of light,
+    /// which hides the mesh.
+    ///
+    /// Precondition: one entry a vertex.
+    pub fn set_light(&mut self, irradiance: Vec<Rgb>, errors: Vec<f32>) {
+        debug_assert_eq!(irradiance.len(), self.positions.len());
+        debug_assert_eq!(errors.len(), self.positions.len());
+        self.irradiance = irradiance;
+        self.errors = errors;
         for &first in &self.quads {
             let first = first as usize;
             // A quadrilateral a b c d is stored as (a b c, a c d).
@@ -222,70 +207,6 @@ impl LitMesh {
     }
 }
 
-/// A finished vertex.
-struct Vertex {
-    position: Vec3,
-    uv: Vec2,
-    receiver: Receiver,
-}
-
-/// What one part comes to: facets of clusters, then flat triangles, then pairs of them.
-struct Built {
-    vertices: Vec<Vertex>,
-    facets: Vec<[u32; 3]>,
-    triangles: Vec<[u32; 3]>,
-    /// Corners of plain quadrilaterals in order.
-    quads: Vec<[u32; 4]>,
-}
-
-impl Built {
-    /// Divides what has long edges; facets stay as the source has them.
-    fn divided(mut self, longest_m: f32) -> Built {
-        let positions: Vec<Vec3> = self.vertices.iter().map(|v| v.position).collect();
-        let is_long =
-            |a: u32, b: u32| (positions[a as usize] - positions[b as usize]).length() > longest_m;
-        // The free diagonal of a quadrilateral does not count.
-        self.quads.retain(|&[a, b, c, d]| {
-            let long = is_long(a, b) || is_long(b, c) || is_long(c, d) || is_long(d, a);
-            if long {
-                self.triangles.extend([[a, b, c], [a, c, d]]);
-            }
-            !long
-        });
-        let most = MOST_ADDED * positions.len();
-        let first = positions.len();
-        let (triangles, middles) = halve(self.triangles, &positions, longest_m, most);
-        self.triangles = triangles;
-        for m in &middles {
-            let [a, b] = m.between.map(|v| &self.vertices[v as usize]);
-            let vertex = Vertex {
-                position: m.position,
-                uv: 0.5 * (a.uv + b.uv),
-                receiver: Receiver {
-                    position: Vec3::ZERO,
-                    normal: a.receiver.normal,
-                },
-            };
-            self.vertices.push(vertex);
-        }
-        // As at corners: a little inside the triangles around, which cancels on inner edges.
-        let mut around = vec![(Vec3::ZERO, 0.0); middles.len()];
-        for t in &self.triangles {
-            let [a, b, c] = t.map(|v| self.vertices[v as usize].position);
-            let centre = (a + b + c) / 3.0;
-            for v in t.map(|v| v as usize).into_iter().filter(|&v| v >= first) {
-                let p = self.vertices[v].position;
-                around[v - first].0 += (centre - p) * INSET;
-                around[v - first].1 += 1.0;
-            }
-        }
-        for (v, (moved, count)) in self.vertices[first..].iter_mut().zip(around) {
-            v.receiver.position = v.position + moved / f32::max(count, 1.0);
-        }
-        self
-    }
-}
-
 /// Edge of a square as large as the mean flat element, weighted by area, metres.
 fn mean_edge(front: &Front) -> f32 {
     let (mut sum, mut squares) = (0.0f64, 0.0f64);
@@ -300,399 +221,6 @@ fn mean_edge(front: &Front) -> f32 {
     } else {
         f32::INFINITY
     }
-}
-
-/// A corner of an element's outline at a place.
-struct Corner {
-    place: u32,
-    uv: Vec2,
-    inset: Vec3,
-    normal: Vec3,
-    weight: f32,
-    flat: bool,
-}
-
-/// An outline: a run of corners, and the centre around which to draw it if it is a fan.
-struct Outline {
-    corners: Range<u32>,
-    centre: Vec3,
-    uv: Vec2,
-    normal: Vec3,
-}
-
-struct Builder {
-    places: Places,
-    corners: Vec<Corner>,
-    outlines: Vec<Outline>,
-}
-
-impl Builder {
-    fn new(scene: &Scene, front: &Front, sources: &Sources, elements: &[u32]) -> Builder {
-        let mut places = Places::new(sources.tolerance_m);
-        // Corners of all elements first: an element must know its finer neighbours.
-        let (mut ring, mut on_border) = (Vec::new(), Vec::new());
-        for &e in elements {
-            let patch = front.patch[e as usize];
-            if matches!(front.patches[patch.index()].shape, Shape::Cluster { .. }) {
-                continue;
-            }
-            outline(front, e, &mut ring);
-            let component = sources.component[patch.index()];
-            for &(p, st) in &ring {
-                let place = places.find_or_add(component, p);
-                if sources.shared[component as usize]
-                    && borders(&front.patches[patch.index()], st) != 0
-                {
-                    on_border.push(place);
-                }
-            }
-        }
-        on_border.sort_unstable();
-        on_border.dedup();
-        let seams = places.seams(&on_border);
-        let mut b = Builder {
-            places,
-            corners: Vec::new(),
-            outlines: Vec::new(),
-        };
-        let mut points = Vec::new();
-        for &e in elements {
-            let id = front.patch[e as usize];
-            let patch = &front.patches[id.index()];
-            if let Shape::Cluster { triangles } = &patch.shape {
-                for c in &front.cluster_triangles[triangles.start as usize..triangles.end as usize]
-                {
-                    b.add_facet(scene, c.triangle, patch.side);
-                }
-                continue;
-            }
-            outline(front, e, &mut ring);
-            let component = sources.component[id.index()];
-            points.clear();
-            for k in 0..ring.len() {
-                let ((p, from), (q, to)) = (ring[k], ring[(k + 1) % ring.len()]);
-                points.push(p);
-                match seams.get(&component) {
-                    // Neighbouring patches need not halve each other's edges.
-                    Some(seam) if borders(patch, from) & borders(patch, to) != 0 => {
-                        b.places.on_seam(seam, p, q, &mut points)
-                    }
-                    _ => b.places.between(component, p, q, 0, &mut points),
-                }
-            }
-            let centre = ring.iter().map(|r| r.0).sum::<Vec3>() / ring.len() as f32;
-            let source = sources.source_at(scene, front, id, centre);
-            let uv = |p: Vec3| sources.uv(scene, source, p);
-            b.add_outline(
-                component,
-                &points,
-                centre,
-                patch.normal,
-                front.area[e as usize],
-                true,
-                uv,
-            );
-        }
-        b
-    }
-
-    /// A triangle of a cluster, as in the source.
-    fn add_facet(&mut self, scene: &Scene, triangle: u32, side: Side) {
-        let [a, mut b, mut c] = scene.corners(triangle as usize);
-        let mut uvs = scene
-            .uvs
-            .get(triangle as usize)
-            .copied()
-            .unwrap_or_default();
-        if side == Side::Back {
-            std::mem::swap(&mut b, &mut c);
-            uvs.swap(1, 2);
-        }
-        let cross = (b - a).as_dvec3().cross((c - a).as_dvec3());
-        let (normal, area) = (
-            cross.normalize_or_zero().as_vec3(),
-            (0.5 * cross.length()) as f32,
-        );
-        let points = [a, b, c];
-        let uv = |p: Vec3| {
-            points
-                .iter()
-                .position(|q| *q == p)
-                .map_or(Vec2::ZERO, |k| uvs[k])
-        };
-        self.add_outline(
-            Places::FACETS,
-            &points,
-            (a + b + c) / 3.0,
-            normal,
-            area,
-            false,
-            uv,
-        );
-    }
-
-    fn add_outline(
-        &mut self,
-        component: u32,
-        points: &[Vec3],
-        centre: Vec3,
-        normal: Vec3,
-        weight: f32,
-        flat: bool,
-        uv: impl Fn(Vec3) -> Vec2,
-    ) {
-        let first = self.corners.len() as u32;
-        for &p in points {
-            let place = self.places.find_or_add(component, p);
-            let inset = p + (centre - p) * INSET;
-            self.corners.push(Corner {
-                place,
-                uv: uv(p),
-                inset,
-                normal,
-                weight,
-                flat,
-            });
-        }
-        let corners = first..self.corners.len() as u32;
-        self.outlines.push(Outline {
-            corners,
-            centre,
-            uv: uv(centre),
-            normal,
-        });
-    }
-
-    fn finish(self, caster: Option<&dyn RayCaster>) -> Built {
-        let (vertex_of, mut vertices) = self.share(caster);
-        let (mut facets, mut triangles, mut quads) = (Vec::new(), Vec::new(), Vec::new());
-        for o in &self.outlines {
-            let v = &vertex_of[o.corners.start as usize..o.corners.end as usize];
-            match *v {
-                // Corners closer than the tolerance are one place, and such a facet is a line.
-                [a, b, c] if a == b || b == c || c == a => {}
-                [a, b, c] if self.corners[o.corners.start as usize].flat => {
-                    triangles.push([a, b, c])
-                }
-                [a, b, c] => facets.push([a, b, c]),
-                [a, b, c, d] if self.is_convex(o) => quads.push([a, b, c, d]),
-                _ => {
-                    let hub = vertices.len() as u32;
-                    let receiver = Receiver {
-                        position: o.centre,
-                        normal: o.normal,
-                    };
-                    vertices.push(Vertex {
-                        position: o.centre,
-                        uv: o.uv,
-                        receiver,
-                    });
-                    let rim = (0..v.len()).map(|k| [v[k], v[(k + 1) % v.len()]]);
-                    triangles.extend(rim.filter(|[a, b]| a != b).map(|[a, b]| [hub, a, b]));
-                }
-            }
-        }
-        Built {
-            vertices,
-            facets,
-            triangles,
-            quads,
-        }
-    }
-
-    /// Whether four corners make a quadrilateral, and not a triangle with a point on an edge.
-    fn is_convex(&self, o: &Outline) -> bool {
-        let p = |k: usize| {
-            self.places.position[self.corners[o.corners.start as usize + k % 4].place as usize]
-        };
-        (0..4).all(|k| {
-            let (a, b) = (p(k + 1) - p(k), p(k + 2) - p(k + 1));
-            a.cross(b).length() > 1e-3 * a.length() * b.length()
-        })
-    }
-
-    /// Corners into vertices: those at one place that agree share one.
-    fn share(&self, caster: Option<&dyn RayCaster>) -> (Vec<u32>, Vec<Vertex>) {
-        // Corners by place, in order.
-        let mut start = vec![0u32; self.places.position.len() + 1];
-        for c in &self.corners {
-            start[c.place as usize + 1] += 1;
-        }
-        for k in 1..start.len() {
-            start[k] += start[k - 1];
-        }
-        let (mut at, mut by_place) = (start.clone(), vec![0u32; self.corners.len()]);
-        for (k, c) in self.corners.iter().enumerate() {
-            by_place[at[c.place as usize] as usize] = k as u32;
-            at[c.place as usize] += 1;
-        }
-        let mut vertex_of = vec![u32::MAX; self.corners.len()];
-        let mut vertices = Vec::new();
-        // In runs of places, so that the segments of a million elements are never held at once.
-        const RUN: usize = 1 << 14;
-        for run in (0..self.places.position.len()).step_by(RUN) {
-            let places = run..(run + RUN).min(self.places.position.len());
-            let blocked = self.blocked_pairs(&start, &by_place, places.clone(), caster);
-            let mut next = 0;
-            for place in places {
-                let ring = &by_place[start[place] as usize..start[place + 1] as usize];
-                let mut group: Vec<usize> = (0..ring.len()).collect();
-                for i in 0..ring.len() {
-                    for j in 0..i {
-                        let (a, b) = (
-                            &self.corners[ring[j] as usize],
-                            &self.corners[ring[i] as usize],
-                        );
-                        if !agree(a, b) {
-                            continue;
-                        }
-                        let parted = is_tested(a, b, ring.len(), caster.is_some()) && {
-                            next += 1;
-                            blocked[next - 1]
-                        };
-                        if !parted {
-                            join(&mut group, i, j);
-                        }
-                    }
-                }
-                for lead in 0..ring.len() {
-                    if group[lead] != lead {
-                        continue;
-                    }
-                    let members: Vec<u32> = (lead..ring.len())
-                        .filter(|&k| root(&group, k) == lead)
-                        .map(|k| ring[k])
-                        .collect();
-                    for &k in &members {
-                        vertex_of[k as usize] = vertices.len() as u32;
-                    }
-                    vertices.push(self.vertex(place, &members));
-                }
-            }
-        }
-        (vertex_of, vertices)
-    }
-
-    /// For each agreeing pair of corners around each place, in the order in which `share` asks:
-    /// whether something stands between them.
-    fn blocked_pairs(
-        &self,
-        start: &[u32],
-        by_place: &[u32],
-        places: Range<usize>,
-        caster: Option<&dyn RayCaster>,
-    ) -> Vec<bool> {
-        let Some(caster) = caster else {
-            return Vec::new();
-        };
-        let mut segments = Vec::new();
-        for place in places {
-            let ring = &by_place[start[place] as usize..start[place + 1] as usize];
-            for i in 0..ring.len() {
-                for j in 0..i {
-                    let (a, b) = (
-                        &self.corners[ring[j] as usize],
-                        &self.corners[ring[i] as usize],
-                    );
-                    if agree(a, b) && is_tested(a, b, ring.len(), true) {
-                        // Lifted by half the inset: what is lower than that casts no shadow that
-                        // elements of this size could show.
-                        let step = (a.inset - self.places.position[place]).length();
-                        let lift = a.normal * (0.5 * step + caster.offset_m());
-                        segments.push(Ray {
-                            origin: a.inset + lift,
-                            t_min: 0.0,
-                            direction: b.inset - a.inset,
-                            t_max: 1.0,
-                        });
-                    }
-                }
-            }
-        }
-        let mut visible = vec![1.0; segments.len()];
-        caster.visibility(&segments, &mut visible);
-        visible.iter().map(|&v| v < 0.5).collect()
-    }
-
-    fn vertex(&self, place: usize, members: &[u32]) -> Vertex {
-        let position = self.places.position[place];
-        let corners = || members.iter().map(|&k| &self.corners[k as usize]);
-        let first = &self.corners[members[0] as usize];
-        let normal = if first.flat {
-            first.normal
-        } else {
-            corners()
-                .map(|c| c.normal * c.weight)
-                .sum::<Vec3>()
-                .normalize_or(first.normal)
-        };
-        // The mean over a full ring is the vertex itself; on a border it lies inside.
-        let inset = corners().map(|c| c.inset).sum::<Vec3>() / members.len() as f32;
-        // Above every facet around it: on a convex fold the mean lies in the solid.
-        let lift = corners()
-            .map(|c| (position - inset).dot(c.normal) / normal.dot(c.normal).max(0.5))
-            .fold(0.0f32, f32::max);
-        let lift = if first.flat { 0.0 } else { lift };
-        let receiver = Receiver {
-            position: inset + normal * lift,
-            normal,
-        };
-        Vertex {
-            position,
-            uv: first.uv,
-            receiver,
-        }
-    }
-}
-
-/// Corners of a flat element in order, with their patch coordinates.
-fn outline(front: &Front, element: u32, ring: &mut Vec<(Vec3, [f32; 2])>) {
-    let patch = &front.patches[front.patch[element as usize].index()];
-    let [s, t, ds, dt] = front.rect[element as usize];
-    ring.clear();
-    let mut push = |s: f32, t: f32| ring.push((patch.point(s, t), [s, t]));
-    push(s, t);
-    push(s + ds, t);
-    if matches!(patch.shape, Shape::Parallelogram { .. }) {
-        push(s + ds, t + dt);
-    }
-    push(s, t + dt);
-}
-
-/// On which edges of its patch a point lies, one bit each.
-fn borders(patch: &Patch, [s, t]: [f32; 2]) -> u8 {
-    let near = |v: f32| v.abs() < 1e-5;
-    let far = match patch.shape {
-        Shape::Triangle { .. } => (near(s + t - 1.0) as u8) << 2,
-        _ => (near(s - 1.0) as u8) << 2 | (near(t - 1.0) as u8) << 3,
-    };
-    near(s) as u8 | (near(t) as u8) << 1 | far
-}
-
-/// Whether two corners at one place may share a vertex as far as form and texture go.
-fn agree(a: &Corner, b: &Corner) -> bool {
-    let near = |p: f32, q: f32| (p - q).abs() <= 1e-4 * p.abs().max(1.0);
-    a.flat == b.flat
-        && near(a.uv.x, b.uv.x)
-        && near(a.uv.y, b.uv.y)
-        && a.normal.dot(b.normal) >= COS_CREASE
-}
-
-/// Whether sight between two agreeing corners is tested: facets of clusters are too small.
-fn is_tested(a: &Corner, b: &Corner, ring: usize, has_caster: bool) -> bool {
-    has_caster && a.flat && b.flat && ring <= MAX_RING
-}
-
-fn root(group: &[usize], mut k: usize) -> usize {
-    while group[k] != k {
-        k = group[k];
-    }
-    k
-}
-
-fn join(group: &mut [usize], a: usize, b: usize) {
-    let (a, b) = (root(group, a), root(group, b));
-    group[a.max(b)] = a.min(b);
 }
 
 #[cfg(test)]
@@ -950,31 +478,29 @@ mod tests {
                 assert_eq!(shared.len(), 2);
                 assert_eq!(shared[0], shared[1]);
                 assert!((area(&mesh) - 4.0).abs() < 1e-5);
-                let again = mesh.irradiance.iter().flat_map(|e| e.to_array()).collect();
-                let answers = Irradiance {
-                    columns: 3,
-                    values: again,
-                    ..Irradiance::default()
-                };
-                mesh.set_irradiance(&answers);
+                mesh.set_light(mesh.irradiance.clone(), mesh.errors.clone());
             }
         }
     }
 
     #[test]
-    fn dimming_scales_one_group_and_bad_numbers_become_dark() {
-        let (scene, front) = square_front(1);
-        let mut mesh = LitMesh::build(&scene, &front, None);
-        let mut values = [1.0, 2.0, 3.0, 10.0, 20.0, 30.0].repeat(4);
-        values[6] = f32::NAN;
-        let answers = Irradiance {
-            columns: 6,
-            values,
-            ..Irradiance::default()
-        };
-        mesh.set_dimmed(&answers, &[1.0, 0.5]);
-        assert_eq!(mesh.irradiance[0], Rgb::new(6.0, 12.0, 18.0));
-        assert_eq!(mesh.irradiance[1].r, 0.0);
+    fn vertices_have_the_mean_of_their_elements() {
+        let (scene, front) = square_front(2);
+        let mesh = LitMesh::build(&scene, &front, None);
+        let of_element: Vec<Rgb> = (0..4).map(|e| Rgb::splat(10.0 * e as f32)).collect();
+        let values = mesh.of_elements(&of_element);
+        for (p, value) in mesh.positions.iter().zip(&values) {
+            // Element 0 lies at low x and high z, 1 beside it, 2 and 3 behind.
+            let steps = |c: f32| {
+                if c.abs() < 0.5 {
+                    0.5
+                } else {
+                    f32::from(c > 0.0)
+                }
+            };
+            let expected = 10.0 * steps(p.x) + 20.0 * (1.0 - steps(p.z));
+            assert!((value.g - expected).abs() < 1e-4, "{p}: {}", value.g);
+        }
     }
 
     #[test]

@@ -2,7 +2,6 @@
 
 use crate::lit_mesh::LitMesh;
 use luxel_core::{Finish, Front, Rgb, Scene, Sky, Vec3};
-use luxel_gather::Irradiance;
 use luxel_mesh::{MeshSettings, Strategy, Uniform};
 use luxel_scenes::Builder;
 use luxel_transport::bvh::Bvh;
@@ -47,20 +46,9 @@ pub fn square(finish: Finish) -> Scene {
 /// The mesh of a scene with the illuminance that `lux` gives at each vertex.
 pub fn lit(scene: &Scene, front: &Front, lux: impl Fn(Vec3) -> Rgb) -> LitMesh {
     let mut mesh = LitMesh::build(scene, front, None);
-    let values = mesh
-        .positions
-        .iter()
-        .flat_map(|&p| lux(p).to_array())
-        .collect();
-    let n = mesh.positions.len();
-    let answers = Irradiance {
-        columns: 3,
-        values,
-        layer_errors: vec![1.0; n],
-        errors: vec![1.0; n],
-        rays: 0,
-    };
-    mesh.set_irradiance(&answers);
+    let values: Vec<Rgb> = mesh.positions.iter().map(|&p| lux(p)).collect();
+    let errors = vec![1.0; values.len()];
+    mesh.set_light(values, errors);
     mesh
 }
 
