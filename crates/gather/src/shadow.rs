@@ -28,13 +28,10 @@ const STRONG: usize = 24;
 /// So many are, however weak.
 const ALWAYS: usize = 3;
 
-/// Probability that a light of which nothing is known is partly hidden.
-const PARTLY: f64 = 0.25;
-
-/// Mean square of the share of a light that `rays` missed while all of them agreed: the visible
-/// share is thought to be 0, 1 or, with probability [`PARTLY`], anything between, each as likely.
+/// Mean square of the share of a light that `rays` missed while all of them agreed, if it was
+/// thought to be free, hidden, or hidden in part by any share, each as likely.
 pub(crate) fn missed_square(rays: f64) -> f64 {
-    PARTLY * 2.0 / ((rays + 1.0) * (rays + 2.0) * (rays + 3.0))
+    2.0 / ((rays + 1.0) * (rays + 2.0) * (rays + 3.0))
 }
 
 /// A receiver, ready to send rays.

@@ -14,7 +14,7 @@ use luxel_core::{LuminaireKind, Vec3};
 
 /// Nodes whose radius over distance is below this are not opened: where the strongest lights are
 /// looked for, and where all go into the lottery.
-pub(crate) const FINE: f32 = 0.25;
+pub(crate) const FINE: f32 = 0.35;
 pub(crate) const COARSE: f32 = 0.5;
 /// So few lights are each looked at.
 const FEW: usize = 64;
@@ -48,9 +48,18 @@ pub(crate) enum Item {
     Node(u32),
 }
 
-/// The strongest first.
+/// So many of the strongest are put in order.
+const SORTED: usize = 48;
+
+/// The strongest first; those after the first [`SORTED`] in any order, the same on every run.
 pub(crate) fn sort(items: &mut [(f32, Item)]) {
-    items.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let by_guess = |a: &(f32, Item), b: &(f32, Item)| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1));
+    if items.len() > SORTED {
+        items.select_nth_unstable_by(SORTED, by_guess);
+        items[..SORTED].sort_unstable_by(by_guess);
+    } else {
+        items.sort_unstable_by(by_guess);
+    }
 }
 
 /// The tree, and the lights that are infinitely far.

@@ -63,13 +63,13 @@ pub struct Outcome {
 
 /// Most gather rays for all vertices together at an accuracy of 5 %; they grow as the inverse.
 /// With millions of vertices the eye averages over many, and a pixel shows more than one.
-const MOST_RAYS: f64 = 2.4e8;
+const MOST_RAYS: f64 = 2.1e8;
 
 /// When not even so many rays are left for a vertex, vertices share them.
 const FEW_RAYS: f64 = 256.0;
 
 /// Vertices share within this share of the edge of a mean element.
-const SITE: f32 = 0.25;
+const SITE: f32 = 0.4;
 
 /// Lights a scene file. `watch` is told of every step and may stop the job, which then ends with
 /// valid files and a solution that can be resumed.

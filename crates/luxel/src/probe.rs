@@ -14,8 +14,12 @@ pub struct Answer {
     pub reached: bool,
 }
 
+/// Noise of the elements for that of a receiver: it sees hundreds of them.
+const ROUGHER: f64 = 2.0;
+
 /// Solves the session as far as asked and gathers at `receivers`.
 pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_>) -> Answer {
+    session.aim(ROUGHER * session.settings().error);
     let solved = work::solve(session, watch, |_| ());
     let solution = session.solution();
     let accuracy = session.accuracy(&solution);

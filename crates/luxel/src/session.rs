@@ -58,6 +58,8 @@ pub struct Session {
     progress: Progress,
     refinements: u32,
     clock: Clock,
+    /// Relative error of element exitance at which the solver may stop.
+    target: f64,
 }
 
 /// Reads a scene and adds the light that the settings name.
@@ -178,6 +180,7 @@ impl Session {
             progress: Progress::default(),
             refinements: 0,
             clock,
+            target: settings.error,
         };
         session.take_front(watch)?;
         Ok(session)
@@ -186,13 +189,9 @@ impl Session {
     /// What depends on the front alone: direct light of its elements, and its form factors.
     fn take_front(&mut self, watch: &mut Watch<'_>) -> Result<(), Error> {
         self.lights = DirectLights::new(&self.scene, &self.front);
-        let samples = if self.front.len() > MANY_ELEMENTS {
-            4
-        } else {
-            16
-        };
+        let samples = (DIRECT_POINTS / self.front.len().max(1)).clamp(4, 16) as u32;
         let settings = ElementDirect {
-            samples,
+            samples: 1 << samples.ilog2(),
             seed: self.settings.seed,
             ..ElementDirect::default()
         };
@@ -247,16 +246,21 @@ impl Session {
         Ok(())
     }
 
-    /// Relative error of element exitance at which the solver may stop. Gathering averages over
-    /// many elements, so the shown values are better than the elements they come from.
-    fn solver_target(&self) -> f64 {
-        self.settings.error
+    /// Sets the relative error of element exitance at which the solver stops; that of the settings
+    /// unless said.
+    pub fn aim(&mut self, error: f64) {
+        self.target = error;
+    }
+
+    /// Relative error of element exitance at which the solver stops.
+    pub fn target(&self) -> f64 {
+        self.target
     }
 
     fn reached(&self) -> bool {
         self.progress.finished
             || (self.progress.step > 1
-                && self.progress.relative_error <= self.solver_target()
+                && self.progress.relative_error <= self.target
                 && self.progress.unshot_share <= 0.1 * self.settings.error)
     }
 
@@ -397,22 +401,29 @@ impl Session {
         }
     }
 
-    /// Median illuminance of the elements that reflect and are lit, lux: exitance over
-    /// reflectance. What most of the scene looks like, even when a lamp hangs close to a wall,
-    /// most of the light stays in another room, or most of the area is a dark field outside.
+    /// Mean illuminance of the elements that reflect and are lit, by area, but at most twice its
+    /// median, lux: what the scene looks like, even when a lamp hangs close to a wall, most of the
+    /// light stays in another room, or most of the area is a dark field outside.
     fn typical_illuminance(&self, solution: &Solution) -> f32 {
+        let (mut flux, mut area) = (0.0f64, 0.0f64);
         let mut lit: Vec<f32> = (0..self.front.len())
             .filter_map(|e| {
                 let rho = self.front.reflectance[e].luminance();
                 let lux = solution.total(e).luminance() / rho;
-                (rho > 0.01 && lux > 0.0).then_some(lux)
+                let counts = rho > 0.01 && lux > 0.0;
+                if counts {
+                    flux += lux as f64 * self.front.area[e] as f64;
+                    area += self.front.area[e] as f64;
+                }
+                counts.then_some(lux)
             })
             .collect();
         let middle = lit.len() / 2;
         if lit.is_empty() {
             return 0.0;
         }
-        *lit.select_nth_unstable_by(middle, f32::total_cmp).1
+        let median = *lit.select_nth_unstable_by(middle, f32::total_cmp).1;
+        ((flux / area) as f32).min(2.0 * median)
     }
 
     /// Energy balance of the solution, lumens.
@@ -511,8 +522,9 @@ fn unwatched(_: &Status) -> Control {
 /// Elements between two looks at the watch; a multiple of what is computed at once.
 const RUN: usize = 1 << 14;
 
-/// Of more elements each looks at a light from fewer points: neighbours even it out.
-const MANY_ELEMENTS: usize = 100_000;
+/// Points from which all elements together look at a light: of many elements each has fewer, 4 at
+/// least and 16 at most, for neighbours even it out.
+const DIRECT_POINTS: usize = 400_000;
 
 /// Lines for the energy balance: 0.1 % for the whole scene.
 const BALANCE_LINES: u64 = 1 << 20;

@@ -51,7 +51,7 @@ pub fn solve(
         .settings()
         .time
         .map(|t| t.as_secs_f64() * SOLVE_SHARE);
-    let asked = session.settings().error;
+    let asked = session.target();
     let mut last = Status::begin(Stage::Solve);
     if watch(&last) == Control::Stop {
         return End::Stopped;
