@@ -13,8 +13,14 @@ use luxel_core::texture::{Wrap, linear_from_srgb};
 use luxel_core::{Alpha, Front, PatchSources, Rgb, Scene, Shape, Texture, TextureId, Vec2, Vec3};
 use rayon::prelude::*;
 
-/// Samples along an edge of an element, least and most.
-const SAMPLES: [u32; 2] = [4, 16];
+/// Fewest samples along an edge of an element.
+const FEWEST: u32 = 4;
+
+/// Most samples of an element in all.
+const MOST: f32 = 1024.0;
+
+/// Where in an element the texels are counted, along its edges; inside a triangle too.
+const LOOKS: [[f32; 2]; 4] = [[0.33, 0.33], [0.1, 0.1], [0.7, 0.2], [0.2, 0.7]];
 
 /// Sets `reflectance` and `emission` of every element of `front`. Parallel; same bits for any
 /// thread count.
@@ -107,7 +113,7 @@ fn element(
             let triangle = matches!(shape, Shape::Triangle { .. });
             let near = |x: f32, y: f32| sources.near(id.index(), [s0 + x * ds, t0 + y * dt]);
             sample(
-                scene, pictures, &near, corners, triangle, SAMPLES[0], 1.0, &mut mean,
+                scene, pictures, &near, corners, triangle, FEWEST, 1.0, &mut mean,
             );
         }
     }
@@ -142,50 +148,50 @@ fn sample<'a>(
             .and_then(Option::as_ref)
     };
     let (reflects, emits) = (picture(finish.texture), picture(emission_picture));
-    // Texels along both edges decide on how many samples and which level.
-    let texels = [reflects, emits]
+    // Texels along both edges and of the whole decide on how many samples and which level. Each source triangle has
+    // its own place in the picture, and a sliver beside the element says nothing about it: the
+    // least of a few looks.
+    let along = |p: &Pyramid| {
+        LOOKS.iter().fold([f32::INFINITY; 3], |least, &[x, y]| {
+            let (t, ..) = locate(scene, near(x, y), a + (b - a) * x + (c - a) * y);
+            let [u0, u1, u2] = [a, b, c].map(|p| uv_in(scene, t, p));
+            let (b, c) = (p.texels(u1 - u0), p.texels(u2 - u0));
+            let now = [b.length(), c.length(), b.perp_dot(c).abs()];
+            [0, 1, 2].map(|k| least[k].min(now[k]))
+        })
+    };
+    let (reflected, emitted) = (reflects.map(along), emits.map(along));
+    let texels = [reflected, emitted]
         .into_iter()
         .flatten()
-        .fold([0.0f32; 2], |most, p| {
-            let [u0, u1, u2] = [a, b, c].map(|p| uv_in(scene, first, p));
-            [
-                most[0].max(p.texels(u1 - u0)),
-                most[1].max(p.texels(u2 - u0)),
-            ]
+        .fold([0.0f32; 2], |most, t| {
+            [most[0].max(t[0]), most[1].max(t[1])]
         });
-    let most = if finish.alpha == Alpha::Opaque {
-        SAMPLES[1]
-    } else {
-        2 * SAMPLES[1]
-    };
-    let n = texels.map(|t| (if t.is_finite() { t.ceil() as u32 } else { most }).clamp(least, most));
-    let n = if triangle { [n[0].max(n[1]); 2] } else { n };
-    let level = |p: &Pyramid| {
-        let [u0, u1, u2] = [a, b, c].map(|p| uv_in(scene, first, p));
-        let each = (p.texels(u1 - u0) / n[0] as f32).max(p.texels(u2 - u0) / n[1] as f32);
-        // Nearest power of two: a sample stands for about one texel of its level.
-        if each > 1.0 {
-            (each.log2() + 0.5) as usize
+    let n = grid(texels, least);
+    let level = |texels: [f32; 3]| {
+        let each = (texels[2] / (n[0] * n[1]) as f32).sqrt();
+        // A sample stands for about one texel of its level; no coarser, for beside the element
+        // the picture may show something else.
+        if each > 1.0 && each.is_finite() {
+            each.log2() as usize
         } else {
             0
         }
     };
-    let levels = [reflects.map_or(0, level), emits.map_or(0, level)];
+    let levels = [reflected.map_or(0, level), emitted.map_or(0, level)];
     let each = weight / (n[0] as f64 * n[1] as f64);
     for j in 0..n[1] {
         for i in 0..n[0] {
-            let (x, y) = if !triangle {
-                (i as f32 + 0.5, j as f32 + 0.5)
-            } else if i + j < n[0] {
-                (i as f32 + 1.0 / 3.0, j as f32 + 1.0 / 3.0)
+            let (x, y) = (
+                (i as f32 + 0.5) / n[0] as f32,
+                (j as f32 + 0.5) / n[1] as f32,
+            );
+            // The other half of the square is folded onto the triangle.
+            let (x, y) = if triangle && x + y > 1.0 {
+                (1.0 - x, 1.0 - y)
             } else {
-                // The other half of the square stands for the inverted cells.
-                (
-                    (n[0] - 1 - i) as f32 + 2.0 / 3.0,
-                    (n[0] - 1 - j) as f32 + 2.0 / 3.0,
-                )
+                (x, y)
             };
-            let (x, y) = (x / n[0] as f32, y / n[1] as f32);
             let p = a + (b - a) * x + (c - a) * y;
             let (t, u, v) = locate(scene, near(x, y), p);
             let coverage = scene.coverage_at(t as usize, u, v);
@@ -207,6 +213,22 @@ fn sample<'a>(
             mean.add(r, l, coverage, each);
         }
     }
+}
+
+/// Samples along the two edges of an element that covers so many texels: about one a texel, while
+/// there are not too many.
+fn grid(texels: [f32; 2], least: u32) -> [u32; 2] {
+    let texels = texels.map(|t| {
+        if t.is_finite() {
+            t.max(least as f32)
+        } else {
+            MOST.sqrt()
+        }
+    });
+    let scale = (MOST / (texels[0] * texels[1])).sqrt().min(1.0);
+    // What the short edge cannot give up, the long one must.
+    let bound = MOST / least as f32;
+    texels.map(|t| ((t * scale).ceil().min(bound) as u32).max(least))
 }
 
 #[derive(Default)]
@@ -327,10 +349,10 @@ impl Pyramid {
         }
     }
 
-    /// Texels of the finest level along a step in texture coordinates.
-    fn texels(&self, step: Vec2) -> f32 {
+    /// A step in texture coordinates in texels of the finest level.
+    fn texels(&self, step: Vec2) -> Vec2 {
         let (w, h, _) = &self.levels[0];
-        (step.x * *w as f32).hypot(step.y * *h as f32)
+        Vec2::new(step.x * *w as f32, step.y * *h as f32)
     }
 
     fn sample(&self, level: usize, uv: Vec2) -> Rgb {

@@ -280,6 +280,29 @@ fn pictured(width: u32, height: u32, texel: impl Fn(u32, u32) -> [u8; 4]) -> Sce
 }
 
 #[test]
+fn a_narrow_chart_does_not_take_from_what_lies_beside_it() {
+    // As baked atlases are: faces in a stripe two texels high, two more around it, black beyond.
+    let stripe = |x: u32, y: u32| {
+        let inside = (4..124).contains(&x) && (60..66).contains(&y);
+        let g = if inside { 255 } else { 0 };
+        [g, g, g, 255]
+    };
+    let mut scene = pictured(128, 128, stripe);
+    let uv = |x: f32, y: f32| luxel_core::Vec2::new(x / 128.0, y / 128.0);
+    scene.uvs = vec![
+        [uv(6.0, 62.0), uv(122.0, 62.0), uv(122.0, 64.0)],
+        [uv(122.0, 64.0), uv(6.0, 64.0), uv(6.0, 62.0)],
+    ];
+    for edge in [1.0, 0.3, 0.1] {
+        let front = Kind::Uniform.build(settings(edge)).initial(&scene);
+        for e in 0..front.len() {
+            let m = front.emission[e].g as f64 / std::f64::consts::PI;
+            assert!((m - 1.0).abs() < 1e-3, "element {e} of edge {edge}: {m}");
+        }
+    }
+}
+
+#[test]
 fn textures_are_averaged_over_each_element() {
     // Noise of 512 x 512 texels, the hardest case: the mean of each quarter, from the texels.
     let noise = |x: u32, y: u32| {
