@@ -7,10 +7,10 @@
 //! disagree keeps the lucky ones that did not, and was 3 % too bright in penumbrae. The many
 //! weak lights are sampled together by importance (see `tree`).
 
-use crate::lights::{DirectLights, View};
+use crate::lights::{DirectLights, Light, LightKind, View};
 use crate::lottery::Lots;
 use crate::tree::{FINE, Item, sort};
-use luxel_core::{ElementId, Front, Scene, Vec3};
+use luxel_core::{ElementId, Front, LuminaireKind, Scene, Vec3};
 use luxel_transport::sampling::hash;
 use luxel_transport::{Ray, RayCaster, Sequence};
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use std::ops::Range;
 /// How carefully elements look at the lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ElementDirect {
-    /// Points of an element for each strong light (a power of two).
+    /// Points of an element for each strong light (a power of two); more where it is near.
     pub samples: u32,
     /// Strongest lights that each element asks one by one.
     pub strong: usize,
@@ -47,10 +47,17 @@ const BATCH: usize = 32;
 const FEW: usize = 4;
 const WEAK: f32 = 0.02;
 
+/// Elements that reach less far than this share of their distance to a light are far from it.
+const FAR: f32 = 0.25;
+/// Nearer ones look from up to so many times as many points.
+const MOST_TIMES: f32 = 64.0;
+
 /// One strong light at one element.
 struct Task {
     element: u32,
     light: u32,
+    /// Points of the element that look at it.
+    points: u32,
     factor: f64,
     free: f64,
     /// Smallest and largest visibility met.
@@ -146,10 +153,9 @@ impl Job<'_> {
             task.free += weight * v as f64;
             task.seen = [task.seen[0].min(v), task.seen[1].max(v)];
         }
-        let taken = self.settings.samples.max(1) as f64;
         for task in &s.tasks {
             let light = &self.lights.lights[task.light as usize];
-            let e = task.sum() / taken;
+            let e = task.sum() / task.points as f64;
             let place = task.element as usize * columns + 3 * light.group;
             for (band, tint) in light.tint.to_array().into_iter().enumerate() {
                 s.sums[place + band] += e * tint as f64;
@@ -197,6 +203,8 @@ impl Job<'_> {
                     s.tasks.push(Task {
                         element: k as u32,
                         light,
+                        points: self.settings.samples.max(1)
+                            * nearness(&lights.lights[light as usize], centre, reach),
                         factor: 0.0,
                         free: 0.0,
                         seen: [1.0, 0.0],
@@ -267,7 +275,7 @@ impl Job<'_> {
         let light = &self.lights.lights[task.light as usize];
         let sequence = Sequence::new(hash([self.settings.seed, task.light]), element.0);
         let offset = self.caster.offset_m();
-        for i in 0..self.settings.samples.max(1) {
+        for i in 0..task.points {
             let [u, v, a, b] = sequence.point4(i);
             let (point, normal) = self.front.point_on(self.scene, element, [u, v]);
             let factor = light.factor(point.as_dvec3(), normal.as_dvec3());
@@ -287,6 +295,22 @@ impl Job<'_> {
             }
         }
     }
+}
+
+/// How many times as many points an element within `reach` of `centre` needs because of its
+/// nearness to a light: light falls with the square of a distance that changes over the element.
+/// A power of two.
+fn nearness(light: &Light, centre: Vec3, reach: f32) -> u32 {
+    let (place, least) = match &light.kind {
+        LightKind::Polygon(e) => (e.centre.as_vec3(), e.radius as f32),
+        LightKind::Luminaire(l) => match l.kind {
+            LuminaireKind::Directional { .. } => return 1,
+            _ => (l.position, f32::MIN_POSITIVE),
+        },
+    };
+    let width = reach / (place - centre).length().max(least);
+    let times = (width / FAR).powi(2).clamp(1.0, MOST_TIMES);
+    (times as u32).next_power_of_two()
 }
 
 impl Task {
