@@ -95,7 +95,7 @@ pub struct SceneArguments {
 #[derive(Args, Debug, Clone)]
 pub struct SolveArguments {
     /// Asked accuracy of what is shown: relative standard error
-    #[arg(long, value_name = "SHARE", default_value = "2%", value_parser = units::share)]
+    #[arg(long, value_name = "SHARE", default_value = "2%", value_parser = units::accuracy)]
     pub error: f64,
     /// Most time for solving and gathering; what is reached by then is written
     #[arg(long, value_name = "TIME", value_parser = units::duration)]
@@ -110,7 +110,7 @@ pub struct SolveArguments {
     #[arg(long, value_name = "N")]
     pub elements: Option<usize>,
     /// Largest edge of an element, as 20cm (instead of --elements)
-    #[arg(long, value_name = "LENGTH", value_parser = units::length_m, conflicts_with = "elements")]
+    #[arg(long, value_name = "LENGTH", value_parser = units::edge_m, conflicts_with = "elements")]
     pub edge: Option<f64>,
 }
 

@@ -8,9 +8,6 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Longest list of receivers that is read, bytes.
-const LONGEST_LIST: u64 = 1 << 30;
-
 /// How a command ended when nothing failed.
 pub enum Outcome {
     /// What was asked for was reached.
@@ -118,12 +115,15 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     let (place, text) = if arguments.points == "-" {
         (
             "standard input".to_string(),
-            read_bounded(std::io::stdin().lock()),
+            read_bounded(std::io::stdin().lock(), arguments.common.memory),
         )
     } else {
         let file = std::fs::File::open(&arguments.points)
             .map_err(|e| format!("{}: {e}", arguments.points))?;
-        (arguments.points.clone(), read_bounded(file))
+        (
+            arguments.points.clone(),
+            read_bounded(file, arguments.common.memory),
+        )
     };
     let text = text.map_err(|e| format!("{place}: {e}"))?;
     let receivers = points::parse(&place, &text)?;
@@ -152,12 +152,20 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     Ok(Outcome::of(answer.reached))
 }
 
-fn read_bounded(source: impl Read) -> Result<String, String> {
+/// All of `source`, which may be as long as an eighth of the memory bound.
+fn read_bounded(source: impl Read, memory: u64) -> Result<String, String> {
+    let most = memory / 8;
     let mut text = String::new();
     source
-        .take(LONGEST_LIST)
+        .take(most + 1)
         .read_to_string(&mut text)
         .map_err(|e| e.to_string())?;
+    if text.len() as u64 > most {
+        return Err(format!(
+            "expected at most {} MB of points (an eighth of --memory), found more; give them in parts",
+            most / 1_000_000
+        ));
+    }
     Ok(text)
 }
 

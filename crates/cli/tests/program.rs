@@ -137,6 +137,43 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
 }
 
 #[test]
+fn edges_are_taken_and_absurd_numbers_refused() {
+    let scene = scenes().join("cornell.glb").display().to_string();
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().display().to_string();
+    let run = |more: &[&str]| {
+        let mut arguments = vec!["light", &scene, "-o", &place, "-q"];
+        arguments.extend(more);
+        luxel(&arguments).status.code()
+    };
+    assert_eq!(run(&["--edge", "20cm", "--error", "10%"]), Some(0));
+    for wrong in [
+        ["--edge", "0m"],
+        ["--error", "0"],
+        ["--threads", "1000"],
+        ["--edge", "0.01mm"],
+    ] {
+        assert_eq!(run(&wrong), Some(2), "{wrong:?}");
+    }
+}
+
+#[test]
+fn the_scene_is_never_replaced_by_what_is_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("scene.glb");
+    std::fs::copy(scenes().join("cornell.glb"), &scene).expect("a copy");
+    let before = std::fs::read(&scene).expect("bytes");
+    let (path, place) = (
+        scene.display().to_string(),
+        folder.path().display().to_string(),
+    );
+    let out = luxel(&["light", &path, "-o", &place, "--error", "20%"]);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(words(&out.stderr).contains("would replace it"));
+    assert_eq!(std::fs::read(&scene).expect("bytes"), before);
+}
+
+#[test]
 fn a_cut_file_ends_in_one_line() {
     let folder = tempfile::tempdir().expect("a folder");
     let whole = std::fs::read(scenes().join("cornell.glb")).expect("the scene");

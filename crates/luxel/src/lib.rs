@@ -33,10 +33,16 @@ pub use settings::Settings;
 pub use stage::Stage;
 pub use watch::{Control, Status, Watch};
 
+/// More threads than this only wait for each other.
+const MOST_THREADS: usize = 256;
+
 /// Uses this many threads for everything; 0 is one for each core. Results do not depend on it.
 ///
 /// To be called before any work; a second call is an error.
 pub fn use_threads(threads: usize) -> Result<(), String> {
+    if threads > MOST_THREADS {
+        return Err(format!("expected at most {MOST_THREADS}, found {threads}"));
+    }
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build_global()

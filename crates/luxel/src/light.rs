@@ -20,8 +20,11 @@ use luxel_visualise::{Exposure, LitMesh, LitPart, PreviewSettings};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Name of the solution file in the output folder.
+/// Names of the files in the output folder.
 const SOLUTION: &str = "solution.luxel";
+const LIT_SCENE: &str = "scene.glb";
+const PREVIEW: &str = "preview.png";
+const REPORT: &str = "report.json";
 
 /// Pixels of the first picture, which has to be there within a second.
 const FIRST_SIZE: [usize; 2] = [960, 540];
@@ -81,6 +84,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
     let mut session = Session::open_watched(&job.scene, &job.settings, watch)?;
     let view = choose_view(&session, job.view.as_deref())?;
     make_folder(&folder)?;
+    spare_the_scene(&job.scene, &folder)?;
     let stored_at = folder.join(SOLUTION);
     let fingerprint = fingerprint(&session, &job.settings);
     if job.resume {
@@ -133,7 +137,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
     watch(&Status::begin(Stage::Write));
     let stopped = solved == End::Stopped || gathered == End::Stopped;
     let exposure = write_picture(&session, &mesh, &view, &PreviewSettings::default(), &folder)?;
-    write_lit_scene(&session, &mesh, &folder.join("scene.glb"))?;
+    write_lit_scene(&session, &mesh, &folder.join(LIT_SCENE))?;
     let report = make_report(
         job,
         &mut session,
@@ -144,7 +148,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         stopped,
     );
     let report_json = report.to_json();
-    write(&folder.join("report.json"), report_json.as_bytes())?;
+    write(&folder.join(REPORT), report_json.as_bytes())?;
     let table = format!(
         "{}\nwritten to {}\n",
         report::table(&report).trim_end(),
@@ -217,6 +221,22 @@ fn sites(mesh: &LitMesh, most_rays: f64) -> Sites {
     Sites::new(&mesh.receivers, &mesh.vertex_areas(), runs, edge_m)
 }
 
+/// No file that is written may be the scene itself.
+fn spare_the_scene(scene: &Path, folder: &Path) -> Result<(), Error> {
+    let Ok(scene) = scene.canonicalize() else {
+        return Ok(());
+    };
+    for name in [LIT_SCENE, PREVIEW, REPORT, SOLUTION] {
+        if folder.join(name).canonicalize().is_ok_and(|p| p == scene) {
+            return Err(Error::Setting(format!(
+                "{}: expected an output folder that does not hold the scene, found that {name} would replace it",
+                folder.display()
+            )));
+        }
+    }
+    Ok(())
+}
+
 fn make_folder(folder: &Path) -> Result<(), Error> {
     std::fs::create_dir_all(folder).map_err(|source| Error::Write {
         path: folder.to_owned(),
@@ -275,7 +295,7 @@ fn write_picture(
     folder: &Path,
 ) -> Result<Exposure, Error> {
     let (picture, exposure) = render(session.scene(), mesh, view, settings);
-    let path = folder.join("preview.png");
+    let path = folder.join(PREVIEW);
     let png = picture.png().map_err(|e| Error::Write {
         path: path.clone(),
         source: std::io::Error::other(e),

@@ -133,7 +133,7 @@ impl Session {
         watch: &mut Watch<'_>,
     ) -> Result<Session, Error> {
         let mut mesh = mesh_settings(&read, settings);
-        let needed = memory_estimate(&read, mesh.max_elements);
+        let needed = memory_estimate(&read, most_elements(&read, &mesh));
         if needed > settings.memory {
             return Err(Error::Memory {
                 scene: read.name,
@@ -547,6 +547,18 @@ fn mesh_settings(scene: &Scene, settings: &Settings) -> MeshSettings {
         mesh.max_per_region = usize::MAX;
     }
     mesh
+}
+
+/// About the most elements that a mesh will have: as many as are allowed, or as the area has room
+/// for, with a few for each triangle.
+fn most_elements(scene: &Scene, mesh: &MeshSettings) -> usize {
+    let area: f64 = (0..scene.triangles.len())
+        .map(|t| scene.area(t) as f64)
+        .sum();
+    // Both sides, and cells that are halved in both directions to get under the bound.
+    let by_area = 4.0 * area / mesh.max_area_m2.max(f32::MIN_POSITIVE) as f64;
+    let by_area = (by_area as usize).saturating_add(4 * scene.triangles.len());
+    mesh.max_elements.min(by_area)
 }
 
 /// Peak memory of a session, bytes: triangles with their tree, elements with their columns.

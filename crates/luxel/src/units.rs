@@ -65,6 +65,24 @@ pub fn share(text: &str) -> Result<f64, String> {
     by_unit(text, &[("%", 0.01), ("", 1.0)], "2%")
 }
 
+/// An accuracy: a [`share`] of at least a millionth.
+pub fn accuracy(text: &str) -> Result<f64, String> {
+    match share(text)? {
+        error if error >= 1e-6 => Ok(error),
+        _ => Err(format!("expected at least 0.0001%, found '{text}'")),
+    }
+}
+
+/// A [`length_m`] above 0.
+pub fn edge_m(text: &str) -> Result<f64, String> {
+    match length_m(text)? {
+        edge if (1e-6..1e9).contains(&edge) => Ok(edge),
+        _ => Err(format!(
+            "expected a length from 0.001mm on, like 20cm, found '{text}'"
+        )),
+    }
+}
+
 /// A length in metres: `5cm`, `2.5m`, `3mm`, `1ft`, `4in`.
 pub fn length_m(text: &str) -> Result<f64, String> {
     let units = [

@@ -21,6 +21,10 @@ const HURRIED_RAYS: u32 = 16;
 /// Receivers that are tried first when there is a time bound.
 const PILOT: usize = 512;
 
+/// Share of the time bound that the trial may take, and how many are tried at once at first.
+const PILOT_SHARE: f64 = 0.05;
+const FIRST_TRIED: usize = 4;
+
 /// The fewest rays must be so small a share of the bound before it is thought to suffice untried.
 const SURELY: f64 = 0.1;
 
@@ -163,11 +167,26 @@ fn too_dear(
         return 1.0;
     }
     let stride = receivers.len().div_ceil(PILOT).max(1);
-    let few: Vec<Receiver> = receivers.iter().step_by(stride).copied().collect();
+    let mut few: Vec<Receiver> = receivers.iter().step_by(stride).copied().collect();
+    // So that the first few are spread over all, too.
+    few.sort_by_cached_key(|r| {
+        luxel_transport::sampling::hash(r.position.to_array().map(f32::to_bits))
+    });
     let began = Instant::now();
-    let tried = gatherer.irradiance_at(&few, accuracy);
-    let scale = receivers.len() as f64 / few.len().max(1) as f64;
-    let rays = tried.rays as f64 * scale / gathering.most_rays;
+    // In growing steps while the clock runs: the very first may already tell enough.
+    let enough_s = bound_s.map_or(f64::INFINITY, |b| PILOT_SHARE * b);
+    let (mut tried, mut rays) = (0, 0);
+    while tried < few.len() && began.elapsed().as_secs_f64() < enough_s {
+        let step = match bound_s {
+            Some(_) => tried.max(FIRST_TRIED),
+            None => few.len(),
+        };
+        let to = (tried + step).min(few.len());
+        rays += gatherer.irradiance_at(&few[tried..to], accuracy).rays;
+        tried = to;
+    }
+    let scale = receivers.len() as f64 / tried.max(1) as f64;
+    let rays = rays as f64 * scale / gathering.most_rays;
     let time = bound_s.map_or(0.0, |b| began.elapsed().as_secs_f64() * scale / b.max(1e-3));
     rays.max(time).max(1.0)
 }

@@ -35,6 +35,9 @@ struct Built {
     solution: Solution,
     /// Triangles of each surface of the case, for receivers.
     triangles: Vec<Vec<Triangle>>,
+    /// Centre of each surface that is part of a sphere: there receivers face as the sphere does,
+    /// not as its facets, which are up to 1.4 degrees off.
+    centres: Vec<Option<[f64; 3]>>,
     class: &'static str,
 }
 
@@ -110,10 +113,13 @@ fn build(case: &Case) -> Result<Built, String> {
     let mut session = Session::new(scene, &settings).map_err(|e| e.to_string())?;
     session.by_ref().for_each(drop);
     let solution = session.solution();
+    let centre = |s: &Surface| (s.shape == "sphere_zone").then(|| s.point("center").ok());
+    let centres = case.scene.surfaces.iter().map(|s| centre(s).flatten());
     Ok(Built {
         session,
         solution,
         triangles,
+        centres: centres.collect(),
         class,
     })
 }
@@ -431,7 +437,13 @@ impl Built {
                 let p = std::array::from_fn(|i| {
                     t[0][i] + a * (t[1][i] - t[0][i]) + b * (t[2][i] - t[0][i])
                 });
-                receiver(p, cross(sub(t[1], t[0]), sub(t[2], t[0])))
+                let facet = cross(sub(t[1], t[0]), sub(t[2], t[0]));
+                let normal = self.centres[surface].map_or(facet, |centre| {
+                    let out = sub(p, centre);
+                    let turned = (0..3).map(|i| out[i] * facet[i]).sum::<f64>() < 0.0;
+                    out.map(|x| if turned { -x } else { x })
+                });
+                receiver(p, normal)
             })
             .collect()
     }
