@@ -37,6 +37,9 @@ const BATCH: u32 = 512;
 const SHADOW_TIMES: u32 = 16;
 const MOST_SHADOW: u32 = 262_144;
 
+/// Each strong light is first looked at with one shadow ray for so many of the fewest gather rays.
+const FIRST_LOOK: u32 = 16;
+
 /// Places of the lotteries.
 const WEAK: usize = 0;
 const BRIGHT: usize = 1;
@@ -202,8 +205,9 @@ impl<'a> Gatherer<'a> {
         let least = 0.5 * accuracy.relative;
         let lots = &mut s.lotteries[WEAK].lots;
         shadow::strong_lights(self.lights, &site, least, lots, &mut s.strong);
+        let first = (fewest / FIRST_LOOK).max(1);
         for light in &mut s.strong {
-            light.cast(&site, 1, self.caster, &mut s.rays);
+            light.cast(&site, first, self.caster, &mut s.rays);
         }
         if !self.bright.is_empty() {
             let (bright, lots) = (&self.bright, &mut s.lotteries[BRIGHT].lots);
