@@ -16,6 +16,8 @@ const LONGEST_LINE: usize = 4096;
 ///
 /// An error names `place`, the line, what was expected and what was found.
 pub fn parse(place: &str, text: &str) -> Result<Vec<Receiver>, String> {
+    // Some editors begin a text with a mark of its encoding.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut receivers = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let line = line.trim();
@@ -123,6 +125,8 @@ mod tests {
         let receivers = parse("points", good).expect("two receivers");
         assert_eq!(receivers.len(), 2);
         assert_eq!(receivers[0].normal, Vec3::Y);
+        let marked = parse("points", "\u{feff}0 0.75 2 0 1 0\r\n").expect("one receiver");
+        assert_eq!(marked[0].normal, Vec3::Y);
         for (bad, told) in [
             ("1 2 3 0 1", "points:1: expected 6 numbers"),
             ("1 2 3 0 1 x", "'x'"),
