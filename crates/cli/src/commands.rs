@@ -71,10 +71,15 @@ fn watch(progress: &mut terminal::Progress, stop: &AtomicBool, status: &Status) 
     }
 }
 
-/// Ends a job that was stopped before it had anything to show.
-fn stopped(error: &luxel::Error) -> Result<Outcome, String> {
-    eprintln!("luxel: {error}");
-    Ok(Outcome::Short)
+/// How a job ends that has nothing to show: stopped by the user, or failed.
+fn ended(error: luxel::Error) -> Result<Outcome, String> {
+    match error {
+        luxel::Error::Stopped => {
+            eprintln!("luxel: {error}");
+            Ok(Outcome::Short)
+        }
+        other => Err(other.to_string()),
+    }
 }
 
 fn print(text: &str) -> Result<(), String> {
@@ -99,8 +104,8 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
     let outcome = luxel::light(&job, &mut |status| watch(&mut progress, &stop, status));
     progress.end();
     let outcome = match outcome {
-        Err(e @ luxel::Error::Stopped) => return stopped(&e),
-        other => other.map_err(|e| e.to_string())?,
+        Ok(outcome) => outcome,
+        Err(error) => return ended(error),
     };
     if arguments.common.json {
         print(&(outcome.report_json + "\n"))?;
@@ -132,8 +137,11 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     let mut progress = terminal::Progress::new(arguments.common.quiet);
     let mut watch = |status: &Status| watch(&mut progress, &stop, status);
     let mut session = match Session::open_watched(&arguments.scene.scene, &settings, &mut watch) {
-        Err(e @ luxel::Error::Stopped) => return stopped(&e),
-        other => other.map_err(|e| e.to_string())?,
+        Ok(session) => session,
+        Err(error) => {
+            progress.end();
+            return ended(error);
+        }
     };
     let answer = luxel::probe(&mut session, &receivers, &mut watch);
     progress.end();

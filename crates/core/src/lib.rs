@@ -4,6 +4,7 @@
 //! one and speaks its words. Lengths are metres, angles radians, light is photometric
 //! (lumens), colours are linear RGB. Numbers are stored as `f32` and summed as `f64`.
 
+pub mod buckets;
 pub mod element;
 pub mod front;
 pub mod hierarchy;
@@ -16,13 +17,14 @@ pub mod solution;
 pub mod texture;
 pub mod warning;
 
+pub use buckets::Buckets;
 pub use element::{ElementId, FinishId, GroupId, PatchId, SurfaceId, TextureId};
 pub use front::{Front, FrontChange, Patch, RefinementWish, Shape, Side};
 pub use glam;
 pub use glam::{DVec3, Vec2, Vec3};
 pub use hierarchy::Hierarchy;
 pub use layers::Layers;
-pub use patch_sources::PatchSources;
+pub use patch_sources::{PatchSources, triangles_of_patches};
 pub use polygon::Polygon;
 pub use quantity::Rgb;
 pub use scene::{

@@ -4,6 +4,7 @@
 //! coordinates, holes) is found again at any place of it. Patches with many triangles have a
 //! regular grid over their coordinates, so that costs do not grow with their number.
 
+use crate::buckets::Buckets;
 use crate::front::{Front, Patch, Shape};
 use crate::scene::Scene;
 use glam::Vec2;
@@ -12,9 +13,7 @@ use std::collections::HashMap;
 /// Source triangles of every patch of a front.
 #[derive(Clone, Debug, Default)]
 pub struct PatchSources {
-    /// Triangles of patch `p` are `list[start[p]..start[p + 1]]`, ascending.
-    start: Vec<u32>,
-    list: Vec<u32>,
+    triangles: Buckets,
     /// Of textured patches with many triangles, those near each place.
     finders: HashMap<u32, Finder>,
 }
@@ -25,14 +24,8 @@ const FEW: usize = 8;
 impl PatchSources {
     /// Near linear in the triangles.
     pub fn new(scene: &Scene, front: &Front) -> PatchSources {
-        let pairs = front.patch_of.iter().enumerate().flat_map(|(t, sides)| {
-            let some = sides.iter().filter(|id| id.is_some());
-            some.map(move |id| (id.index(), t as u32))
-        });
-        let (start, list) = by_bucket(front.patches.len(), pairs);
         let mut sources = PatchSources {
-            start,
-            list,
+            triangles: triangles_of_patches(front),
             finders: HashMap::new(),
         };
         if !scene.uvs.is_empty() {
@@ -49,7 +42,7 @@ impl PatchSources {
 
     /// All source triangles of a patch.
     pub fn of(&self, patch: usize) -> &[u32] {
-        &self.list[self.start[patch] as usize..self.start[patch + 1] as usize]
+        self.triangles.of(patch)
     }
 
     /// Source triangles of a patch among which the one at its coordinates `(s, t)` is. Never
@@ -62,13 +55,21 @@ impl PatchSources {
     }
 }
 
+/// Source triangles of each patch of a front, ascending.
+pub fn triangles_of_patches(front: &Front) -> Buckets {
+    let pairs = front.patch_of.iter().enumerate().flat_map(|(t, sides)| {
+        let some = sides.iter().filter(|id| id.is_some());
+        some.map(move |id| (id.index(), t as u32))
+    });
+    Buckets::new(front.patches.len(), pairs)
+}
+
 /// Source triangles of one patch by the cell of a regular grid over its coordinates.
 #[derive(Clone, Debug)]
 struct Finder {
     /// Cells along each edge.
     cells: usize,
-    start: Vec<u32>,
-    list: Vec<u32>,
+    near: Buckets,
 }
 
 impl Finder {
@@ -85,8 +86,10 @@ impl Finder {
             let across = span(low.x, high.x);
             span(low.y, high.y).flat_map(move |j| across.clone().map(move |i| (j * cells + i, t)))
         });
-        let (start, list) = by_bucket(cells * cells, pairs);
-        Finder { cells, start, list }
+        Finder {
+            cells,
+            near: Buckets::new(cells * cells, pairs),
+        }
     }
 
     fn cell(cells: usize, v: f32) -> usize {
@@ -94,26 +97,7 @@ impl Finder {
     }
 
     fn near(&self, [s, t]: [f32; 2]) -> &[u32] {
-        let c = Finder::cell(self.cells, t) * self.cells + Finder::cell(self.cells, s);
-        &self.list[self.start[c] as usize..self.start[c + 1] as usize]
+        let cell = |v| Finder::cell(self.cells, v);
+        self.near.of(cell(t) * self.cells + cell(s))
     }
-}
-
-/// Values by their bucket, in the order given: those of bucket `b` are
-/// `list[start[b]..start[b + 1]]`.
-fn by_bucket(
-    buckets: usize,
-    pairs: impl Iterator<Item = (usize, u32)> + Clone,
-) -> (Vec<u32>, Vec<u32>) {
-    let mut start = vec![0u32; buckets + 1];
-    pairs.clone().for_each(|(b, _)| start[b + 1] += 1);
-    for b in 0..buckets {
-        start[b + 1] += start[b];
-    }
-    let (mut at, mut list) = (start.clone(), vec![0; start[buckets] as usize]);
-    for (b, value) in pairs {
-        list[at[b] as usize] = value;
-        at[b] += 1;
-    }
-    (start, list)
 }

@@ -1,6 +1,7 @@
 //! What is asked at a receiver and what is answered.
 
-use luxel_core::{Rgb, Vec3};
+use crate::shadow::photometric_f32;
+use luxel_core::{Rgb, Vec3, layers};
 
 /// A point that light falls on: on a surface or a hair above it, or free in the room.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,21 +69,14 @@ impl Irradiance {
     /// below zero or, from absurd input, be no number: both are 0 here.
     pub fn total(&self, receiver: usize) -> Rgb {
         let row = &self.values[receiver * self.columns..(receiver + 1) * self.columns];
-        let band = |band: usize| {
-            row.iter()
-                .skip(band)
-                .step_by(3)
-                .map(|&v| v as f64)
-                .sum::<f64>()
-        };
-        Rgb::from([0, 1, 2].map(|b| {
-            let value = band(b) as f32;
-            if value.is_finite() {
-                value.max(0.0)
-            } else {
-                0.0
-            }
-        }))
+        let lit = |v: f32| if v.is_finite() { v.max(0.0) } else { 0.0 };
+        Rgb::from(layers::total(row).to_array().map(lit))
+    }
+
+    /// Photometric total at a receiver, lux.
+    pub fn lux(&self, receiver: usize) -> f32 {
+        let row = &self.values[receiver * self.columns..(receiver + 1) * self.columns];
+        row.chunks_exact(3).map(photometric_f32).sum::<f64>() as f32
     }
 }
 

@@ -80,8 +80,8 @@ struct Scratch {
 impl DirectLights {
     /// Mean direct irradiance of every element, lux of each band: `front.len()` x columns.
     ///
-    /// Unbiased where a shadow edge crosses an element, exact factors elsewhere. Never negative; exactly zero where no light is seen. The same bits
-    /// for any thread count.
+    /// Unbiased where a shadow edge crosses an element, exact factors elsewhere. Never negative;
+    /// exactly zero where no light is seen. The same bits for any thread count.
     pub fn element_irradiance(
         &self,
         scene: &Scene,

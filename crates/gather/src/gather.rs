@@ -3,8 +3,8 @@
 //! Indirect: cosine-distributed low-discrepancy rays bring the exitance of the element that
 //! they hit, in all layers at once, or the sky's. The rays belong to eight independently
 //! scrambled sequences, so eight independent estimates give the standard error. What elements
-//! send above a cap is asked as from lights, see `bright`. Direct: see `shadow`. Whatever adds most error for its rays is doubled until the wanted error is
-//! reached or its rays are spent.
+//! send above a cap is asked as from lights, see `bright`. Direct: see `shadow`. Whatever adds most
+//! error for its rays is doubled until the wanted error is reached or its rays are spent.
 //!
 //! The random numbers of a receiver depend on the seed, its place and its normal, so an answer
 //! does not depend on which other receivers are asked with it.
@@ -20,7 +20,7 @@ use crate::bright::Bright;
 use crate::contract::{Accuracy, Irradiance, Receiver};
 use crate::lights::DirectLights;
 use crate::lottery::{Field, Lottery};
-use crate::shadow::{self, Rays, SUBSETS, Site, Strong, Subsets, photometric_f32};
+use crate::shadow::{self, Rays, SUBSETS, Site, Strong, Subsets};
 use crate::tree::COARSE;
 use luxel_core::quantity::LAMBERTIAN;
 use luxel_core::{Front, Scene, Solution};
@@ -319,48 +319,26 @@ impl<'a> Gatherer<'a> {
 
     /// Draws from one of the lotteries until each subset has `until`.
     fn draw(&self, which: usize, site: &Site, until: u32, s: &mut Scratch<'a>) {
+        let (weak, bright, columns) = (self.lights, &self.bright, self.lights.columns);
+        let (lights, tree, salt) = match which {
+            WEAK => (&weak.lights, &weak.tree, 0x1b87_3593),
+            _ => (&bright.lights, &bright.tree, 0x85eb_ca6b),
+        };
+        let bring = |row: &mut [f64], index: u32, share: f64| {
+            if which == WEAK {
+                let light = &weak.lights[index as usize];
+                let tint = light.tint.to_array();
+                add(&mut row[3 * light.group..], &tint, |&t| t as f64 * share);
+            } else {
+                let first = bright.element[index as usize].index() * columns;
+                let share = share * bright.rest(index);
+                let exitance = &self.solution.exitance[first..first + columns];
+                add(row, exitance, |&b| b as f64 * share);
+            }
+        };
+        let field = Field { lights, tree, salt };
         let (lottery, rays) = (&mut s.lotteries[which], &mut s.rays);
-        if which == WEAK {
-            let lights = &self.lights.lights;
-            let field = Field {
-                lights,
-                tree: &self.lights.tree,
-                salt: 0x1b87_3593,
-            };
-            lottery.cast(
-                &field,
-                site,
-                until,
-                self.caster,
-                rays,
-                |row, index, share| {
-                    let light = &lights[index as usize];
-                    for (band, tint) in light.tint.to_array().into_iter().enumerate() {
-                        row[3 * light.group + band] += tint as f64 * share;
-                    }
-                },
-            );
-        } else {
-            let (bright, columns) = (&self.bright, self.lights.columns);
-            let field = Field {
-                lights: &bright.lights,
-                tree: &bright.tree,
-                salt: 0x85eb_ca6b,
-            };
-            lottery.cast(
-                &field,
-                site,
-                until,
-                self.caster,
-                rays,
-                |row, index, share| {
-                    let first = bright.element[index as usize].index() * columns;
-                    let share = share * bright.rest(index);
-                    let exitance = &self.solution.exitance[first..first + columns];
-                    add(row, exitance, |&b| b as f64 * share);
-                },
-            );
-        }
+        lottery.cast(&field, site, until, self.caster, rays, bring);
     }
 
     /// Takes gather rays until each subset has `until`.
@@ -416,14 +394,5 @@ impl<'a> Gatherer<'a> {
 fn add<T>(row: &mut [f64], values: &[T], as_f64: impl Fn(&T) -> f64) {
     for (sum, v) in row.iter_mut().zip(values) {
         *sum += as_f64(v);
-    }
-}
-
-/// Photometric total of one receiver.
-impl Irradiance {
-    /// Photometric total of receiver `index`, lux.
-    pub fn lux(&self, index: usize) -> f32 {
-        let row = &self.values[index * self.columns..(index + 1) * self.columns];
-        row.chunks_exact(3).map(photometric_f32).sum::<f64>() as f32
     }
 }

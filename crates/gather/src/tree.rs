@@ -3,7 +3,8 @@
 //! A binary tree over all lights that have a place. A receiver takes a cut: nodes that look
 //! small from it, single lights where they do not. The strongest single lights are then
 //! computed one by one and the rest by a lottery (see `lottery`), which takes a node; one light
-//! within it is taken by descending with the guesses of the two children. Guesses are zero only where no light can arrive, so the estimate is unbiased.
+//! within it is taken by descending with the guesses of the two children. Guesses are zero only
+//! where no light can arrive, so the estimate is unbiased.
 //!
 //! Source: [Conty18]; the cut is that of [Walter05]. Differs: the strongest lights leave the
 //! lottery.

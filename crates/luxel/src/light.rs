@@ -81,10 +81,10 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         .output
         .clone()
         .unwrap_or_else(|| job.scene.with_extension("lit"));
+    spare_the_scene(&job.scene, &folder)?;
     let mut session = Session::open_watched(&job.scene, &job.settings, watch)?;
     let view = choose_view(&session, job.view.as_deref())?;
     make_folder(&folder)?;
-    spare_the_scene(&job.scene, &folder)?;
     let stored_at = folder.join(SOLUTION);
     let fingerprint = fingerprint(&session, &job.settings);
     if job.resume {
@@ -198,13 +198,13 @@ fn gather(
         &session.accuracy(solution),
         watch,
     );
-    let (mut values, mut errors) = of_elements(session, solution, mesh);
-    for v in 0..values.len() {
-        let site = sites.of(v);
-        if let Some(&error) = asked.errors.get(site) {
-            (values[v], errors[v]) = (asked.total(site), error);
-        }
-    }
+    let left_out = asked.errors.len() < sites.receivers.len();
+    let rest = left_out.then(|| of_elements(session, solution, mesh));
+    let at = |v: usize| match (sites.of(v), &rest) {
+        (site, Some((values, errors))) if site >= asked.errors.len() => (values[v], errors[v]),
+        (site, _) => (asked.total(site), asked.errors[site]),
+    };
+    let (values, errors) = (0..mesh.receivers.len()).map(at).unzip();
     mesh.set_light(values, errors);
     (asked.rays, end)
 }
@@ -229,7 +229,8 @@ fn spare_the_scene(scene: &Path, folder: &Path) -> Result<(), Error> {
     for name in [LIT_SCENE, PREVIEW, REPORT, SOLUTION] {
         if folder.join(name).canonicalize().is_ok_and(|p| p == scene) {
             return Err(Error::Setting(format!(
-                "{}: expected an output folder that does not hold the scene, found that {name} would replace it",
+                "{}: expected an output folder that does not hold the scene, found that {name} \
+                 would replace it",
                 folder.display()
             )));
         }

@@ -48,7 +48,7 @@ impl Sites {
             };
         }
         let mut site = vec![0; receivers.len()];
-        // Weight, weighted place, and members' count of each site.
+        // Weight and weighted place of each site.
         let mut sums: Vec<(f64, [f64; 3])> = Vec::new();
         let mut known: HashMap<Key, u32> = HashMap::new();
         for run in runs {

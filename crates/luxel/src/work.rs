@@ -213,10 +213,13 @@ fn slacks(gathering: &Gathering<'_>, times: f64) -> Vec<f32> {
         let each = shape.iter().map(|&s| slack(s, scale).powi(-2) as f64);
         each.sum::<f64>() / shape.len().max(1) as f64
     };
-    // The cost falls as the scale grows, over some decades of weights.
-    let mut scale = shape.iter().copied().fold(f32::INFINITY, f32::min).recip();
-    while cost(scale) * times > 1.0 && cost(scale) > (LOOSEST as f64).powi(-2) {
-        scale *= STEP;
-    }
+    // From the scale that loosens nothing to the one that loosens all as far as it goes; the cost
+    // falls along them.
+    let first = shape.iter().copied().fold(f32::INFINITY, f32::min).recip();
+    let scales: Vec<f32> = std::iter::successors(Some(first), |s| Some(s * STEP))
+        .take_while(|s| *s <= STEP * LOOSEST * first)
+        .collect();
+    let enough = scales.partition_point(|&s| cost(s) * times > 1.0);
+    let scale = scales.get(enough).or(scales.last()).copied().unwrap_or(1.0);
     shape.iter().map(|&s| slack(s, scale)).collect()
 }

@@ -5,13 +5,12 @@
 //! neighbours across a crease of more than 25 degrees, across a contact line, or at a T-vertex.
 
 use crate::flat::{NONE, adjacency};
-use luxel_core::{ElementId, Front, PatchId, Scene, Shape, Vec3};
+use luxel_core::{Buckets, ElementId, Front, PatchId, Scene, Shape, Vec3, triangles_of_patches};
 
 /// What is needed to look up neighbours. Stays valid when elements are split.
 pub(crate) struct Neighbours {
     next: Vec<[u32; 3]>,
-    offsets: Vec<u32>,
-    triangles: Vec<u32>,
+    triangles: Buckets,
 }
 
 /// Cosine of the largest angle between patches that count as one smooth surface.
@@ -24,32 +23,15 @@ impl Neighbours {
             .iter()
             .map(|ids| ids.iter().any(|id| id.is_some()))
             .collect();
-        let mut offsets = vec![0u32; front.patches.len() + 1];
-        for id in front.patch_of.iter().flatten().filter(|id| id.is_some()) {
-            offsets[id.index() + 1] += 1;
-        }
-        for i in 1..offsets.len() {
-            offsets[i] += offsets[i - 1];
-        }
-        let mut at = offsets.clone();
-        let mut triangles = vec![0; offsets.last().map_or(0, |&n| n as usize)];
-        for (t, ids) in front.patch_of.iter().enumerate() {
-            for id in ids.iter().filter(|id| id.is_some()) {
-                triangles[at[id.index()] as usize] = t as u32;
-                at[id.index()] += 1;
-            }
-        }
         Neighbours {
             next: adjacency(&scene.triangles, &scene.surface_of, &wanted),
-            offsets,
-            triangles,
+            triangles: triangles_of_patches(front),
         }
     }
 
     /// Source triangles of a patch.
     pub fn triangles_of(&self, patch: PatchId) -> &[u32] {
-        let i = patch.index();
-        &self.triangles[self.offsets[i] as usize..self.offsets[i + 1] as usize]
+        self.triangles.of(patch.index())
     }
 
     /// Replaces `out` by the elements across the edges of `e`, each once. A cluster has none.

@@ -148,9 +148,9 @@ fn sample<'a>(
             .and_then(Option::as_ref)
     };
     let (reflects, emits) = (picture(finish.texture), picture(emission_picture));
-    // Texels along both edges and of the whole decide on how many samples and which level. Each source triangle has
-    // its own place in the picture, and a sliver beside the element says nothing about it: the
-    // least of a few looks.
+    // Texels along both edges and of the whole decide on how many samples and which level. Each
+    // source triangle has its own place in the picture, and a sliver beside the element says
+    // nothing about it: the least of a few looks.
     let along = |p: &Pyramid| {
         LOOKS.iter().fold([f32::INFINITY; 3], |least, &[x, y]| {
             let (t, ..) = locate(scene, near(x, y), a + (b - a) * x + (c - a) * y);

@@ -7,7 +7,7 @@
 
 use crate::long_edges::halve;
 use crate::places::{Places, Sources};
-use luxel_core::{Front, Patch, Scene, Shape, Side, Vec2, Vec3};
+use luxel_core::{Buckets, Front, Patch, Scene, Shape, Side, Vec2, Vec3};
 use luxel_gather::Receiver;
 use luxel_transport::{Ray, RayCaster};
 use std::ops::Range;
@@ -107,11 +107,9 @@ struct Corner {
 
 /// An outline: a run of corners, and the centre around which to draw it if it is a fan.
 struct Outline {
-    element: u32,
     corners: Range<u32>,
     centre: Vec3,
     uv: Vec2,
-    normal: Vec3,
 }
 
 /// Outlines of one surface side.
@@ -255,11 +253,9 @@ impl Outlines {
         }
         let corners = first..self.corners.len() as u32;
         self.outlines.push(Outline {
-            element,
             corners,
             centre,
             uv: uv(centre),
-            normal,
         });
     }
 
@@ -268,25 +264,24 @@ impl Outlines {
         let (mut facets, mut triangles, mut quads) = (Vec::new(), Vec::new(), Vec::new());
         for o in &self.outlines {
             let v = &vertex_of[o.corners.start as usize..o.corners.end as usize];
+            let first = &self.corners[o.corners.start as usize];
             match *v {
                 // Corners closer than the tolerance are one place, and such a facet is a line.
                 [a, b, c] if a == b || b == c || c == a => {}
-                [a, b, c] if self.corners[o.corners.start as usize].flat => {
-                    triangles.push([a, b, c])
-                }
+                [a, b, c] if first.flat => triangles.push([a, b, c]),
                 [a, b, c] => facets.push([a, b, c]),
                 [a, b, c, d] if self.is_convex(o) => quads.push([a, b, c, d]),
                 _ => {
                     let hub = vertices.len() as u32;
                     let receiver = Receiver {
                         position: o.centre,
-                        normal: o.normal,
+                        normal: first.normal,
                     };
                     vertices.push(Vertex {
                         position: o.centre,
                         uv: o.uv,
                         receiver,
-                        elements: vec![o.element],
+                        elements: vec![first.element],
                     });
                     let rim = (0..v.len()).map(|k| [v[k], v[(k + 1) % v.len()]]);
                     triangles.extend(rim.filter(|[a, b]| a != b).map(|[a, b]| [hub, a, b]));
@@ -315,28 +310,18 @@ impl Outlines {
     /// Corners into vertices: those at one place that agree share one.
     fn share(&self, caster: Option<&dyn RayCaster>) -> (Vec<u32>, Vec<Vertex>) {
         // Corners by place, in order.
-        let mut start = vec![0u32; self.places.position.len() + 1];
-        for c in &self.corners {
-            start[c.place as usize + 1] += 1;
-        }
-        for k in 1..start.len() {
-            start[k] += start[k - 1];
-        }
-        let (mut at, mut by_place) = (start.clone(), vec![0u32; self.corners.len()]);
-        for (k, c) in self.corners.iter().enumerate() {
-            by_place[at[c.place as usize] as usize] = k as u32;
-            at[c.place as usize] += 1;
-        }
+        let places = self.corners.iter().map(|c| c.place as usize);
+        let by_place = Buckets::new(self.places.position.len(), places.zip(0..));
         let mut vertex_of = vec![u32::MAX; self.corners.len()];
         let mut vertices = Vec::new();
         // In runs of places, so that the segments of a million elements are never held at once.
         const RUN: usize = 1 << 14;
         for run in (0..self.places.position.len()).step_by(RUN) {
             let places = run..(run + RUN).min(self.places.position.len());
-            let blocked = self.blocked_pairs(&start, &by_place, places.clone(), caster);
+            let blocked = self.blocked_pairs(&by_place, places.clone(), caster);
             let mut next = 0;
             for place in places {
-                let ring = &by_place[start[place] as usize..start[place + 1] as usize];
+                let ring = by_place.of(place);
                 let mut group: Vec<usize> = (0..ring.len()).collect();
                 for i in 0..ring.len() {
                     for j in 0..i {
@@ -378,8 +363,7 @@ impl Outlines {
     /// whether something stands between them.
     fn blocked_pairs(
         &self,
-        start: &[u32],
-        by_place: &[u32],
+        by_place: &Buckets,
         places: Range<usize>,
         caster: Option<&dyn RayCaster>,
     ) -> Vec<bool> {
@@ -388,7 +372,7 @@ impl Outlines {
         };
         let mut segments = Vec::new();
         for place in places {
-            let ring = &by_place[start[place] as usize..start[place + 1] as usize];
+            let ring = by_place.of(place);
             for i in 0..ring.len() {
                 for j in 0..i {
                     let (a, b) = (

@@ -8,7 +8,7 @@
 //!
 //! Source: [Pineda88] for edge functions.
 
-use luxel_core::{Vec2, Vec3, View};
+use luxel_core::{Buckets, Vec2, Vec3, View};
 use rayon::prelude::*;
 
 /// Edge of a tile, samples.
@@ -128,22 +128,12 @@ pub(crate) fn visible(
         let y = s.low[1] as usize / TILE..s.high[1] as usize / TILE + 1;
         y.flat_map(move |j| x.clone().map(move |i| j * tiles[0] + i))
     };
-    let mut start = vec![0usize; tiles[0] * tiles[1] + 1];
-    for s in &setups {
-        for tile in spans(s) {
-            start[tile + 1] += 1;
-        }
-    }
-    for k in 1..start.len() {
-        start[k] += start[k - 1];
-    }
-    let (mut at, mut list) = (start.clone(), vec![0u32; start[start.len() - 1]]);
-    for (k, s) in setups.iter().enumerate() {
-        for tile in spans(s) {
-            list[at[tile]] = k as u32;
-            at[tile] += 1;
-        }
-    }
+    let spans = &spans;
+    let pairs = setups
+        .iter()
+        .enumerate()
+        .flat_map(|(k, s)| spans(s).map(move |tile| (tile, k as u32)));
+    let by_tile = Buckets::new(tiles[0] * tiles[1], pairs);
     // Bands of tiles write disjoint rows.
     let mut seen = vec![NOTHING; camera.size[0] * camera.size[1]];
     seen.par_chunks_mut(TILE * camera.size[0])
@@ -153,7 +143,7 @@ pub(crate) fn visible(
             for i in 0..tiles[0] {
                 let tile = j * tiles[0] + i;
                 depth.fill(0.0);
-                for &k in &list[start[tile]..start[tile + 1]] {
+                for &k in by_tile.of(tile) {
                     let s = &setups[k as usize];
                     draw(
                         s,
