@@ -8,7 +8,8 @@
 //! on the corner or the edge and the plane, so that neighbours give the same bits and chords join
 //! to outlines. A face that runs parallel to a group at a small distance (a lamp a hair below the
 //! ceiling, a picture before the wall) is projected: light is shut in between as if it touched.
-//! Outlines smaller than asked are dropped.
+//! Outlines smaller than asked are dropped, and of too many lines the shortest on each triangle:
+//! thousands of large faces that all cross each other would make as many lines as pairs.
 
 use crate::flat::{NONE, Plane, adjacency};
 use luxel_core::{DVec3, Scene, Vec3};
@@ -100,14 +101,43 @@ pub(crate) struct Contact {
     pub ends: [DVec3; 2],
 }
 
+impl Contact {
+    /// Metres.
+    pub fn length(&self) -> f64 {
+        (self.ends[1] - self.ends[0]).length()
+    }
+}
+
 /// What was found.
 #[derive(Default)]
 pub(crate) struct Contacts {
     /// Sorted by group, then triangle.
     pub lines: Vec<Contact>,
-    /// Large triangles that lie in the same place as one of another surface, facing the same way.
+    /// Large triangles that lie in the same place as one of another group, facing the same way.
     pub doubled: usize,
+    /// Lines that were too many to be kept.
+    pub left_out: usize,
+    /// Triangles that were not held against the groups: too many meet too many.
+    pub unsearched: usize,
 }
+
+/// What one task finds.
+#[derive(Default)]
+struct Found {
+    lines: Vec<Contact>,
+    doubled: Vec<u32>,
+    pairs: usize,
+}
+
+/// Most lines that are kept: this many, and [`LINES_PER_TRIANGLE`] for each triangle of the scene.
+const MOST_LINES: usize = 1 << 16;
+const LINES_PER_TRIANGLE: usize = 4;
+/// Most pairs of triangles that are looked at (about 10 s on two cores), counted likewise.
+const MOST_PAIRS: usize = 1 << 24;
+const PAIRS_PER_TRIANGLE: usize = 64;
+/// Triangles whose contacts are searched before it is seen whether there are too many. A constant,
+/// so that the same are left out on every machine.
+const BLOCK: usize = 1 << 7;
 
 /// All contact lines on the groups, but those of outlines smaller than `min_contact_m`.
 pub(crate) fn contacts(
@@ -122,39 +152,39 @@ pub(crate) fn contacts(
         .filter(|&t| groups.of[t as usize] != NONE)
         .collect();
     let tree = Tree::new(scene, large, gap_m.max(tolerance_m) as f32);
-    let found: Vec<(Vec<Contact>, Vec<u32>)> = (0..scene.triangles.len())
-        .into_par_iter()
-        .with_min_len(1024)
-        .fold(
-            || (Vec::new(), Vec::new()),
-            |(mut lines, mut doubled), q| {
-                if blocks[q] {
-                    let met = |t| {
-                        meet(
-                            scene,
-                            groups,
-                            q as u32,
-                            t,
-                            [tolerance_m, gap_m],
-                            &mut lines,
-                            &mut doubled,
-                        );
-                    };
-                    tree.each_near(scene.corners(q), met);
-                }
-                (lines, doubled)
-            },
-        )
-        .collect();
+    let count = scene.triangles.len();
+    let most = MOST_LINES + LINES_PER_TRIANGLE * count;
+    let mut searches = MOST_PAIRS + PAIRS_PER_TRIANGLE * count;
     let mut out = Contacts::default();
-    let mut doubled = Vec::new();
-    for (lines, d) in found {
-        out.lines.extend(lines);
-        doubled.extend(d);
+    let mut doubled = vec![false; count];
+    for first in (0..count).step_by(BLOCK) {
+        if searches == 0 {
+            out.unsearched = count - first;
+            break;
+        }
+        let block = first..(first + BLOCK).min(count);
+        let found: Vec<Found> = block
+            .into_par_iter()
+            .with_min_len(8)
+            .filter(|&q| blocks[q])
+            .fold(Found::default, |mut found, q| {
+                tree.each_near(scene.corners(q), |t| {
+                    let reach = [tolerance_m, gap_m];
+                    meet(scene, groups, q as u32, t, reach, &mut found);
+                });
+                found
+            })
+            .collect();
+        for f in found {
+            out.lines.extend(f.lines);
+            f.doubled.iter().for_each(|&t| doubled[t as usize] = true);
+            searches = searches.saturating_sub(f.pairs);
+        }
+        if out.lines.len() > most {
+            out.left_out += keep_longest(&mut out.lines, most / 2);
+        }
     }
-    doubled.sort_unstable();
-    doubled.dedup();
-    out.doubled = doubled.len();
+    out.doubled = doubled.iter().filter(|&&d| d).count();
     let key = |c: &Contact| {
         (
             c.group,
@@ -175,9 +205,9 @@ fn meet(
     q: u32,
     t: u32,
     [tolerance, gap]: [f64; 2],
-    lines: &mut Vec<Contact>,
-    doubled: &mut Vec<u32>,
+    found: &mut Found,
 ) {
+    found.pairs += 1;
     let group = groups.of[t as usize];
     if groups.of[q as usize] == group {
         return;
@@ -198,7 +228,7 @@ fn meet(
             [b, a]
         };
         if touches(scene, t, ends, tolerance) {
-            lines.push(Contact {
+            found.lines.push(Contact {
                 group,
                 triangle: t,
                 ends,
@@ -213,7 +243,9 @@ fn meet(
     match zeros {
         _ if is_near => {
             if zeros == 3 && same_place(scene, q, t, plane.normal) {
-                doubled.push(t);
+                // Both see all there is to see; an edge of one is no edge of the other's light.
+                found.doubled.push(t);
+                return;
             }
             // The outline of a coplanar group; inner edges of it mean nothing.
             if groups.of[q as usize] != NONE {
@@ -281,12 +313,8 @@ fn touches(scene: &Scene, t: u32, [p, q]: [DVec3; 2], tolerance: f64) -> bool {
     (to - from) * (q - p).length() > tolerance
 }
 
-/// Whether two coplanar triangles of different surfaces face the same way and overlap, judged by
-/// their centres.
+/// Whether two coplanar triangles face the same way and overlap, judged by their centres.
 fn same_place(scene: &Scene, q: u32, t: u32, normal: DVec3) -> bool {
-    if scene.surface_of[q as usize] == scene.surface_of[t as usize] {
-        return false;
-    }
     let of = |t: u32| scene.corners(t as usize).map(|p| p.as_dvec3());
     let inside = |c: [DVec3; 3], p: DVec3| {
         let n = (c[1] - c[0]).cross(c[2] - c[0]);
@@ -296,6 +324,33 @@ fn same_place(scene: &Scene, q: u32, t: u32, normal: DVec3) -> bool {
     let centre = |c: [DVec3; 3]| (c[0] + c[1] + c[2]) / 3.0;
     (a[1] - a[0]).cross(a[2] - a[0]).dot(normal) > 0.0
         && (inside(a, centre(b)) || inside(b, centre(a)))
+}
+
+/// Leaves at most about `most` lines: the longest on each triangle, equally many on those that have
+/// too many. Returns how many are dropped; lines that came twice do not count.
+fn keep_longest(lines: &mut Vec<Contact>, most: usize) -> usize {
+    let bits = |c: &Contact| c.ends.map(|p| p.to_array().map(f64::to_bits));
+    lines.par_sort_unstable_by(|a, b| {
+        let longer = b.length().total_cmp(&a.length());
+        let triangle = a.triangle.cmp(&b.triangle);
+        triangle.then(longer).then_with(|| bits(a).cmp(&bits(b)))
+    });
+    lines.dedup_by(|a, b| a.triangle == b.triangle && bits(a) == bits(b));
+    let counts: Vec<usize> = lines
+        .chunk_by(|a, b| a.triangle == b.triangle)
+        .map(<[Contact]>::len)
+        .collect();
+    let total = |quota: usize| counts.iter().map(|&n| n.min(quota)).sum::<usize>();
+    let quotas: Vec<usize> = (1..=32).map(|power| 1 << power).collect();
+    let quota = quotas[quotas.partition_point(|&q| total(q) <= most).max(1) - 1];
+    let before = lines.len();
+    let (mut triangle, mut count) = (NONE, 0);
+    lines.retain(|c| {
+        count = if c.triangle == triangle { count + 1 } else { 1 };
+        triangle = c.triangle;
+        count <= quota
+    });
+    before - lines.len()
 }
 
 /// Leaves out the lines of connected outlines whose bounds' diagonal is below `least`.

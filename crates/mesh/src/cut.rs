@@ -3,10 +3,10 @@
 //!
 //! Coordinates are barycentric weights rounded to 2^-40 and stretched by powers of two to about
 //! the true lengths. Then points on all three edges are collinear without rounding, the hull of
-//! the triangulation is the triangle, and its pieces fill it. Lines are cut at points near them
-//! before (snapping), and at each other by the triangulation, whose predicates are exact.
+//! the triangulation is the triangle, and its pieces fill it. Lines are cut before where they cross
+//! each other and at points near them (snapping), so that none cross in the triangulation.
 //!
-//! Delaunay triangulation: crate spade; its constraints split where they cross.
+//! Delaunay triangulation: crate spade, whose predicates are exact.
 
 use luxel_core::DVec3;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Point2, Triangulation};
@@ -26,6 +26,16 @@ pub(crate) enum End {
     /// On edge k (corner k to k + 1), that far along.
     Edge(usize, f64),
     Inside(Weights),
+}
+
+impl End {
+    pub fn weights(self) -> Weights {
+        match self {
+            End::Corner(k) => on_edge(k, 0.0),
+            End::Edge(k, t) => on_edge(k, t),
+            End::Inside(w) => w,
+        }
+    }
 }
 
 /// What a contact line does to a triangle.
@@ -163,12 +173,28 @@ pub(crate) fn on_edge(k: usize, t: f64) -> Weights {
     }
 }
 
+/// Where two lines cross, ends excluded.
+pub(crate) fn crossing([p, q]: [Weights; 2], [r, s]: [Weights; 2]) -> Option<Weights> {
+    let side =
+        |a: Weights, b: Weights, c: Weights| (b.u - a.u) * (c.v - a.v) - (b.v - a.v) * (c.u - a.u);
+    let (a, b) = (side(r, s, p), side(r, s, q));
+    if a * b >= 0.0 || side(p, q, r) * side(p, q, s) >= 0.0 {
+        return None;
+    }
+    let t = a / (a - b);
+    Some(Weights {
+        u: on_grid(p.u + (q.u - p.u) * t),
+        v: on_grid(p.v + (q.v - p.v) * t),
+    })
+}
+
 /// Pieces of a triangle: corners as indices into `points` and whether each edge (corner k to
 /// k + 1) is a cut.
-#[derive(Default)]
 pub(crate) struct Pieces {
     pub points: Vec<Weights>,
     pub triangles: Vec<([u32; 3], [bool; 3])>,
+    /// Whether it is cut along all of every line.
+    pub whole: bool,
 }
 
 struct Vertex {
@@ -182,8 +208,6 @@ impl HasPosition for Vertex {
         self.position
     }
 }
-
-const NEW: u32 = u32::MAX;
 
 /// Cuts a triangle along `lines` (pairs of indices into `points`). The first three points are the
 /// corners; points on the border are exact. `None` if the triangulation fails.
@@ -203,10 +227,11 @@ pub(crate) fn cut(
 
 fn triangulate(
     frame: &Frame,
-    points: Vec<Weights>,
+    mut points: Vec<Weights>,
     lines: &[[u32; 2]],
     tolerance: f64,
 ) -> Option<Pieces> {
+    add_crossings(frame, &mut points, lines, tolerance);
     // The corner nearest to a right angle becomes the origin.
     let skew = |k: usize| {
         let [a, b, c] = [0, 1, 2].map(|i| frame.corners[(k + i) % 3]);
@@ -221,17 +246,6 @@ fn triangulate(
         let all = [1.0 - w.u - w.v, w.u, w.v];
         Point2::new(all[(k + 1) % 3] * x, all[(k + 2) % 3] * y)
     };
-    let from_plane = |p: Point2<f64>| {
-        let (a, b) = (p.x / x, p.y / y);
-        let mut all = [0.0; 3];
-        all[k] = 1.0 - a - b;
-        all[(k + 1) % 3] = a;
-        all[(k + 2) % 3] = b;
-        Weights {
-            u: all[1],
-            v: all[2],
-        }
-    };
     let mut net = ConstrainedDelaunayTriangulation::<Vertex>::new();
     let mut handles = Vec::with_capacity(points.len());
     for (i, &w) in points.iter().enumerate() {
@@ -245,6 +259,7 @@ fn triangulate(
     }
     let placed: Vec<DVec3> = points.iter().map(|&w| frame.point(w)).collect();
     let mut chain: Vec<(f64, u32)> = Vec::new();
+    let mut whole = true;
     for &[a, b] in lines {
         // Points near the line become part of it, or hair-thin gaps would join both sides.
         let (p, q) = (placed[a as usize], placed[b as usize]);
@@ -266,37 +281,48 @@ fn triangulate(
             if handles[from as usize] != handles[to as usize]
                 && !on_one_edge(points[from as usize], points[to as usize])
             {
-                net.add_constraint_and_split(
-                    handles[from as usize],
-                    handles[to as usize],
-                    |position| Vertex { position, id: NEW },
-                );
+                let [from, to] = [from, to].map(|i| handles[i as usize]);
+                // Snapping can make two pieces of lines cross that did not before.
+                if net.can_add_constraint(from, to) {
+                    net.add_constraint(from, to);
+                } else {
+                    whole = false;
+                }
             }
             from = to;
         }
     }
-    let mut pieces = Pieces {
-        points,
-        triangles: Vec::new(),
-    };
-    let mut index = vec![NEW; net.num_vertices()];
-    for v in net.vertices() {
-        let id = v.data().id;
-        index[v.fix().index()] = if id != NEW {
-            id
-        } else {
-            pieces.points.push(from_plane(v.position()));
-            pieces.points.len() as u32 - 1
-        };
-    }
-    for face in net.inner_faces() {
+    let triangles = net.inner_faces().map(|face| {
         let edges = face.adjacent_edges();
-        pieces.triangles.push((
-            edges.map(|e| index[e.from().fix().index()]),
+        (
+            edges.map(|e| e.from().data().id),
             edges.map(|e| e.is_constraint_edge()),
-        ));
+        )
+    });
+    Some(Pieces {
+        triangles: triangles.collect(),
+        points,
+        whole,
+    })
+}
+
+/// Adds the points where lines cross, but where one is near already.
+fn add_crossings(frame: &Frame, points: &mut Vec<Weights>, lines: &[[u32; 2]], tolerance: f64) {
+    let ends: Vec<[Weights; 2]> = lines
+        .iter()
+        .map(|line| line.map(|i| points[i as usize]))
+        .collect();
+    let mut placed: Vec<DVec3> = points.iter().map(|&w| frame.point(w)).collect();
+    for (i, &a) in ends.iter().enumerate() {
+        for &b in &ends[..i] {
+            let Some(w) = crossing(a, b) else { continue };
+            let p = frame.point(w);
+            if placed.iter().all(|q| q.distance(p) > tolerance) {
+                points.push(w);
+                placed.push(p);
+            }
+        }
     }
-    Some(pieces)
 }
 
 /// Edges that a point is on.
@@ -318,7 +344,11 @@ pub(crate) fn fan(points: Vec<Weights>, border: &[Vec<u32>; 3]) -> Pieces {
         [&border[0], &border[1], &border[2]],
         &mut triangles,
     );
-    Pieces { points, triangles }
+    Pieces {
+        points,
+        triangles,
+        whole: true,
+    }
 }
 
 /// Splits at the middle point of the fullest edge, towards the corner across.

@@ -15,7 +15,7 @@
 
 use crate::contact::{Contacts, Groups, Place, contacts, place, root};
 use crate::contract::MeshSettings;
-use crate::cut::{Effect, End, Frame, Pieces, Weights, cut, edges_of, fan, on_edge};
+use crate::cut::{Effect, End, Frame, Pieces, Weights, crossing, cut, edges_of, fan, on_edge};
 use crate::flat::NONE;
 use crate::sides::{SIDES, lit_side};
 use luxel_core::{DVec3, Scene, Vec2, Vec3, Warnings};
@@ -34,9 +34,14 @@ pub struct PrepareSettings {
     pub min_area_m2: f32,
     /// Smaller outlines of contact do not cut, metres (diagonal).
     pub min_contact_m: f32,
-    /// Most contact lines on one triangle; the longest are kept, with a warning.
+    /// Most contact lines on one triangle; the longest are kept, with a warning. Crossings of lines
+    /// are bounded too, by the size of the triangle ([`CROSSINGS`]).
     pub max_lines: usize,
 }
+
+/// Most places where lines on a triangle cross each other: this many, and as many again for each
+/// `min_area_m2` of it. Each makes two pieces, so that pieces stay in proportion to elements.
+const CROSSINGS: [f64; 2] = [16.0, 1.0];
 
 /// A gap counts as contact up to this share of an element's edge: what is lit within would be
 /// spread over the part of the element that lies outside.
@@ -84,7 +89,12 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         .map(|t| !finish(t).transparent)
         .collect();
     let groups = Groups::of(&scene, &lit, settings.min_area_m2, tolerance);
-    let Contacts { lines, doubled } = contacts(
+    let Contacts {
+        lines,
+        doubled,
+        mut left_out,
+        unsearched,
+    } = contacts(
         &scene,
         &groups,
         &blocks,
@@ -94,15 +104,19 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
     );
     warnings.add(
         scene.name.as_str(),
-        "large triangles lie in the same place as another surface; the light there is uncertain",
+        "large triangles lie in the same place as others; the light there is uncertain",
         doubled,
+    );
+    warnings.add(
+        scene.name.as_str(),
+        "triangles were not searched for contacts: too many meet each other; light may leak there",
+        unsearched,
     );
     if lines.is_empty() {
         return scene;
     }
 
     let mut edges = Edges::default();
-    let mut left_out = 0;
     let mut cuts: Vec<Cut> = Vec::new();
     for run in lines.chunk_by(|a, b| a.triangle == b.triangle) {
         let t = run[0].triangle;
@@ -119,15 +133,13 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
                     }
                 }
                 Effect::Cut(a, b) => {
-                    inside.push(((line.ends[1] - line.ends[0]).length(), a, b));
+                    inside.push((line.length(), a, b));
                 }
             }
         }
-        if inside.len() > settings.max_lines {
-            inside.sort_by(|a, b| b.0.total_cmp(&a.0));
-            left_out += inside.len() - settings.max_lines;
-            inside.truncate(settings.max_lines);
-        }
+        let size = scene.area(t as usize) / settings.min_area_m2;
+        let crossings = CROSSINGS[0] + CROSSINGS[1] * size as f64;
+        left_out += thin(&mut inside, settings.max_lines, crossings as usize);
         for (_, a, b) in &inside {
             for end in [a, b] {
                 if let End::Edge(k, at) = *end {
@@ -160,6 +172,31 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         failed,
     );
     rebuild(scene, &groups, pieces)
+}
+
+/// Leaves the longest lines of a triangle, as many as allowed; how many are dropped.
+fn thin(lines: &mut Vec<(f64, End, End)>, most_lines: usize, most_crossings: usize) -> usize {
+    let harmless = lines.len() * lines.len().saturating_sub(1) / 2 <= most_crossings;
+    if lines.len() <= most_lines && harmless {
+        return 0;
+    }
+    let before = lines.len();
+    lines.sort_by(|a, b| b.0.total_cmp(&a.0));
+    lines.truncate(most_lines);
+    let placed: Vec<[Weights; 2]> = lines
+        .iter()
+        .map(|l| [l.1.weights(), l.2.weights()])
+        .collect();
+    let mut crossings = 0;
+    let kept = placed.iter().enumerate().position(|(i, &line)| {
+        crossings += placed[..i]
+            .iter()
+            .filter(|&&o| crossing(line, o).is_some())
+            .count();
+        crossings > most_crossings
+    });
+    lines.truncate(kept.unwrap_or(lines.len()));
+    before - lines.len()
 }
 
 /// Lines inside one triangle.
@@ -344,8 +381,8 @@ fn divide_one(
             })
             .collect();
         pieces = cut(&frame, points.clone(), &pairs, tolerance);
-        failed = pieces.is_none();
-        if failed {
+        failed = pieces.as_ref().is_none_or(|p| !p.whole);
+        if pieces.is_none() {
             points.truncate(first_inner as usize);
             positions.truncate(first_inner as usize);
         }

@@ -405,6 +405,37 @@ fn too_many_lines_are_reported() {
     );
 }
 
+/// A thousand large triangles in one box, each across hundreds of others: pieces stay in
+/// proportion to the area in elements, and areas stay.
+#[test]
+fn a_thicket_of_large_triangles_is_cut_within_bounds() {
+    let mut at = 1u32;
+    let mut random = || {
+        at = at.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (at >> 8) as f32 / (1 << 24) as f32
+    };
+    let mut b = Builder::new("thicket");
+    let thin = b.thin("thin", 0.5, 0.5, 0.5);
+    for _ in 0..1000 {
+        let corner = |_| v(random(), random(), random());
+        let points: [Vec3; 3] = [0, 1, 2].map(corner);
+        b.on("triangle", thin).polygon(&points);
+    }
+    let scene = b.build();
+    let (new, warnings) = prepared(&scene, 0.1);
+    let elements = surface_areas(&scene).iter().sum::<f64>() / 0.1;
+    let (before, after) = (scene.triangles.len(), new.triangles.len());
+    assert!(
+        after > 2 * before && (after as f64) < 100.0 * elements,
+        "{before} -> {after}, {elements} elements"
+    );
+    let told = |what: &str| warnings.iter().any(|w| w.what.contains(what));
+    assert!(told("too many on one triangle"), "{warnings:?}");
+    for (a, b) in surface_areas(&scene).iter().zip(surface_areas(&new)) {
+        assert!((a - b).abs() < 1e-4 * a.max(1e-3), "{a} {b}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
