@@ -152,6 +152,9 @@ fn edges_are_taken_and_absurd_numbers_refused() {
         ["--error", "0"],
         ["--threads", "1000"],
         ["--edge", "0.01mm"],
+        ["--lamp", "1e38lm@1,1,1"],
+        ["--sky", "1e13"],
+        ["--memory", "100MB"],
     ] {
         assert_eq!(run(&wrong), Some(2), "{wrong:?}");
     }
@@ -171,6 +174,46 @@ fn the_scene_is_never_replaced_by_what_is_written() {
     assert_eq!(out.status.code(), Some(2));
     assert!(words(&out.stderr).contains("would replace it"));
     assert_eq!(std::fs::read(&scene).expect("bytes"), before);
+}
+
+#[test]
+fn files_that_the_scene_names_are_not_replaced_either() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let obj = "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n";
+    std::fs::write(at("s.obj"), obj).expect("written");
+    std::fs::write(at("m.mtl"), "newmtl m\nmap_Kd preview.png\n").expect("written");
+    let picture = scenes().join("../docs/two-rooms.png");
+    std::fs::copy(picture, at("preview.png")).expect("a copy");
+    let before = std::fs::read(at("preview.png")).expect("bytes");
+    let (path, place) = (
+        at("s.obj").display().to_string(),
+        folder.path().display().to_string(),
+    );
+    let out = luxel(&["light", &path, "--sky", "1000", "-o", &place]);
+    assert_eq!(out.status.code(), Some(2), "{}", words(&out.stderr));
+    assert!(words(&out.stderr).contains("would replace it"));
+    assert_eq!(std::fs::read(at("preview.png")).expect("bytes"), before);
+    // A file is no folder.
+    let out = luxel(&["light", &path, "--sky", "1000", "-o", &path]);
+    assert_eq!(out.status.code(), Some(2));
+    assert!(words(&out.stderr).contains("found a file"));
+}
+
+#[test]
+fn memory_is_kept_by_larger_elements() {
+    let scene = scenes().join("two-rooms.glb").display().to_string();
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().display().to_string();
+    let arguments = [
+        "light", &scene, "-o", &place, "--memory", "140MB", "--error", "20%", "--json",
+    ];
+    let out = luxel(&arguments);
+    assert_eq!(out.status.code(), Some(0), "{}", words(&out.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&out.stdout).expect("a report");
+    let peak = report["memory_peak_bytes"].as_u64().expect("bytes");
+    assert!(peak <= 140_000_000, "{peak}");
+    assert!(report["warnings"].to_string().contains("--memory"));
 }
 
 #[test]

@@ -210,6 +210,7 @@ impl<'o> Assembly<'o> {
             warnings,
             source,
             triangles_read,
+            files: Vec::new(),
         })
     }
 

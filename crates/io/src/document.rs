@@ -5,8 +5,9 @@ use crate::error::Error;
 use crate::options::ReadOptions;
 use crate::{gltf_reader, obj_reader, uri};
 use luxel_core::{Scene, Warnings};
+use std::cell::RefCell;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A scene file, read and made fit for lighting.
 #[derive(Clone, Debug)]
@@ -19,6 +20,8 @@ pub struct Document {
     pub source: Source,
     /// Triangles in the file, instances counted, before repairs.
     pub triangles_read: usize,
+    /// The file and all that was read beside it; empty for a scene out of memory.
+    pub files: Vec<PathBuf>,
 }
 
 /// What of the file is kept for writing it again.
@@ -93,11 +96,16 @@ pub fn read(path: &Path, options: &ReadOptions) -> Result<Document, Error> {
     let bytes = file_bytes(path, options.memory_limit)
         .map_err(|why| Error::new("a readable file", why).in_file(&file))?;
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-    let resolver = move |name: &str, limit: u64| {
-        let inside = uri::path_inside(name)?;
-        file_bytes(&folder.join(inside), limit)
+    let files = RefCell::new(vec![path.to_owned()]);
+    let resolver = |name: &str, limit: u64| {
+        let beside = folder.join(uri::path_inside(name)?);
+        let bytes = file_bytes(&beside, limit)?;
+        files.borrow_mut().push(beside);
+        Ok(bytes)
     };
-    read_bytes(kind, &file, bytes, &resolver, options)
+    let mut document = read_bytes(kind, &file, bytes, &resolver, options)?;
+    document.files = files.into_inner();
+    Ok(document)
 }
 
 /// Reads a scene out of memory. `name` stands in messages; its stem becomes the scene's name.

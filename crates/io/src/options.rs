@@ -2,6 +2,10 @@
 
 use luxel_core::Vec3;
 
+/// Largest luminance (cd/m²), intensity (cd), flux (lm) or illuminance (lx) that is taken as meant:
+/// six hundred suns. Sums over any scene stay finite below it.
+pub const MOST_LIGHT: f32 = 1e12;
+
 /// Which way is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Up {

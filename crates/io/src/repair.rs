@@ -1,8 +1,8 @@
 //! Dirty geometry into geometry fit for lighting; each repair is a warning with its count.
 //!
-//! In this order: triangles that are not finite or absurdly far are dropped; vertices are
-//! welded; triangles without a height are dropped; coincident triangles are told apart;
-//! reflectance is clamped. Then what is left as it is gets counted: edges at which neighbours
+//! In this order: triangles that are not finite are dropped, and strays absurdly far from the
+//! others (in `stray`); vertices are welded; triangles without a height are dropped; coincident
+//! triangles are told apart; reflectance is clamped. Then what is left as it is gets counted: edges at which neighbours
 //! are turned against each other, and T-vertices (in `seams`).
 //!
 //! Coincident triangles: of two with the same winding the second goes, unless only it shines.
@@ -10,6 +10,7 @@
 //! has one face; if they have the same two-sided finish one of them is enough.
 
 mod seams;
+mod stray;
 
 use luxel_core::{
     Alpha, Emission, FinishId, Scene, Surface, SurfaceId, Texture, TextureId, Vec3, Warnings,
@@ -67,6 +68,7 @@ pub fn repair(
             *fate = Fate::NotFinite;
         }
     }
+    stray::drop_strays(scene, &mut dropped);
     let tolerance = weld_distance(scene, &dropped);
     let near = weld(scene, tolerance);
     let note = "vertices less than a rounding error apart were welded";
@@ -77,6 +79,7 @@ pub fn repair(
     rebuild(scene, &dropped, &mut origin);
     clamp_reflectance(scene, file, max_reflectance, &mut origin, warnings);
     seams::count(scene, file, tolerance, warnings);
+    stray::warn_if_coarse(scene, file, warnings);
     origin
 }
 
@@ -87,6 +90,7 @@ enum Fate {
     /// Kept, with a black and dark back: another face covers it.
     SingleSided,
     NotFinite,
+    Stray,
     Flat,
     Double,
 }
@@ -265,6 +269,10 @@ fn report(scene: &Scene, file: &str, dropped: &[Fate], warnings: &mut Warnings) 
         (
             Fate::NotFinite,
             "dropped triangles that are not finite or too far away",
+        ),
+        (
+            Fate::Stray,
+            "dropped triangles a thousand times farther away than all others",
         ),
         (Fate::Flat, "dropped triangles without area"),
         (Fate::Double, "dropped triangles that coincide with another"),
@@ -551,16 +559,51 @@ mod tests {
         assert!(said.iter().any(|w| w.contains("without area")), "{said:?}");
     }
 
-    #[test]
-    fn of_two_faces_at_one_place_the_brighter_stays() {
-        let lamp = Finish {
+    fn shining() -> Finish {
+        Finish {
             emission: Some(Emission {
                 luminance: Rgb::WHITE,
                 texture: None,
                 group: luxel_core::GroupId(0),
             }),
             ..Finish::default()
-        };
+        }
+    }
+
+    #[test]
+    fn a_stray_goes_but_not_a_sun_or_a_sky() {
+        let at = |far: f32, size: f32| T.map(|p| p * size + Vec3::X * far);
+        let near = [T, TURNED, at(1.0, 1.0)];
+        let (s, said) = repaired(scene(
+            vec![two_sided(0.5)],
+            &[(0, &near), (0, &[at(1e6, 1.0)])],
+        ));
+        assert_eq!(
+            s.triangles.len(),
+            2,
+            "two are back to back and one, one is lost"
+        );
+        assert!(said.iter().any(|w| w.contains("farther away")), "{said:?}");
+        assert!(!said.iter().any(|w| w.contains("resolves")), "{said:?}");
+        let finishes = vec![two_sided(0.5), shining()];
+        let kept = [
+            // It shines; it fills much of the sky; it is not so far; it reaches to the rest.
+            (1, at(1e6, 1.0)),
+            (0, at(1e6, 1e6)),
+            (0, at(1e3, 1.0)),
+            (0, [Vec3::splat(-1e6), Vec3::X * 2e6, Vec3::splat(0.5)]),
+        ];
+        for (finish, other) in kept {
+            let (s, said) = repaired(scene(finishes.clone(), &[(0, &near), (finish, &[other])]));
+            assert_eq!(s.triangles.len(), 3, "{said:?}");
+            let far = other[1].x > 1e4;
+            assert_eq!(said.iter().any(|w| w.contains("resolves")), far, "{said:?}");
+        }
+    }
+
+    #[test]
+    fn of_two_faces_at_one_place_the_brighter_stays() {
+        let lamp = shining();
         let s = scene(vec![Finish::default(), lamp], &[(0, &[T]), (1, &[T])]);
         let (s, said) = repaired(s);
         assert_eq!(s.triangles.len(), 1);

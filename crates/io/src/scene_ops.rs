@@ -3,6 +3,7 @@
 
 use crate::assemble::{NO_LIGHT, Names};
 use crate::error::clean;
+use crate::options::MOST_LIGHT;
 use luxel_core::quantity::Lumens;
 use luxel_core::{Emission, Group, GroupId, Luminaire, LuminaireKind, Rgb, Scene, Sky, Vec3};
 
@@ -27,7 +28,12 @@ const LAMP_FORMS: &str =
 /// assert!((intensity.g - 63.66198).abs() < 1e-4); // 800 / 4 pi
 /// ```
 pub fn add_lamp(scene: &mut Scene, text: &str) -> Result<(), String> {
-    let wrong = || format!("lamp '{}': expected {LAMP_FORMS}", clean(text));
+    let wrong = || {
+        format!(
+            "lamp '{}': expected {LAMP_FORMS}, of at most {MOST_LIGHT:e}",
+            clean(text)
+        )
+    };
     let mut luminaire = lamp(text).ok_or_else(wrong)?;
     luminaire.group = new_group(scene, text);
     scene.luminaires.push(luminaire);
@@ -46,7 +52,8 @@ fn lamp(text: &str) -> Option<Luminaire> {
     let amount = amount.trim();
     let unit = amount.get(amount.len().checked_sub(2)?..)?;
     let value: f32 = amount[..amount.len() - 2].trim().parse().ok()?;
-    if !(value.is_finite() && value > 0.0) {
+    let most = MOST_LIGHT / colour.max_band().max(1.0);
+    if !(value > 0.0 && value <= most) {
         return None;
     }
     let (place, angles) = match place.split_once(':') {
@@ -129,7 +136,7 @@ fn bands(text: &str) -> Option<Rgb> {
     let one = || list::<1>(text).map(|[v]| Rgb::splat(v));
     one()
         .or_else(|| three(text).map(Rgb::from))
-        .filter(|c| c.r >= 0.0 && c.g >= 0.0 && c.b >= 0.0)
+        .filter(|c| c.to_array().iter().all(|v| (0.0..=MOST_LIGHT).contains(v)))
 }
 
 /// Sets the luminance of a material, `MATERIAL=5000` or `MATERIAL=5000,4000,3000`, cd/m².
@@ -140,7 +147,12 @@ pub fn set_emission(scene: &mut Scene, text: &str) -> Result<(), String> {
     let (name, luminance) = text
         .rsplit_once('=')
         .and_then(|(name, value)| Some((name, bands(value)?)))
-        .ok_or_else(|| format!("emission '{}': expected MATERIAL=5000 (cd/m²)", clean(text)))?;
+        .ok_or_else(|| {
+            format!(
+                "emission '{}': expected MATERIAL=5000 (cd/m², at most {MOST_LIGHT:e})",
+                clean(text)
+            )
+        })?;
     let hit: Vec<usize> = (0..scene.finishes.len())
         .filter(|&k| scene.finishes[k].name == name)
         .collect();
@@ -173,7 +185,7 @@ pub fn set_emission(scene: &mut Scene, text: &str) -> Result<(), String> {
 pub fn set_sky(scene: &mut Scene, text: &str) -> Result<(), String> {
     let luminance = bands(text).ok_or_else(|| {
         format!(
-            "sky '{}': expected a luminance in cd/m², such as 3000",
+            "sky '{}': expected a luminance in cd/m², such as 3000, of at most {MOST_LIGHT:e}",
             clean(text)
         )
     })?;

@@ -81,8 +81,8 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         .output
         .clone()
         .unwrap_or_else(|| job.scene.with_extension("lit"));
-    spare_the_scene(&job.scene, &folder)?;
     let mut session = Session::open_watched(&job.scene, &job.settings, watch)?;
+    spare_the_scene(session.files(), &folder)?;
     let view = choose_view(&session, job.view.as_deref())?;
     make_folder(&folder)?;
     let stored_at = folder.join(SOLUTION);
@@ -221,13 +221,12 @@ fn sites(mesh: &LitMesh, most_rays: f64) -> Sites {
     Sites::new(&mesh.receivers, &mesh.vertex_areas(), runs, edge_m)
 }
 
-/// No file that is written may be the scene itself.
-fn spare_the_scene(scene: &Path, folder: &Path) -> Result<(), Error> {
-    let Ok(scene) = scene.canonicalize() else {
-        return Ok(());
-    };
+/// No file that is written may be one that was read: the scene, its buffers and pictures.
+fn spare_the_scene(read: &[PathBuf], folder: &Path) -> Result<(), Error> {
+    let read: Vec<PathBuf> = read.iter().filter_map(|p| p.canonicalize().ok()).collect();
     for name in [LIT_SCENE, PREVIEW, REPORT, SOLUTION] {
-        if folder.join(name).canonicalize().is_ok_and(|p| p == scene) {
+        let place = folder.join(name).canonicalize();
+        if place.is_ok_and(|p| read.contains(&p)) {
             return Err(Error::Setting(format!(
                 "{}: expected an output folder that does not hold the scene, found that {name} \
                  would replace it",
@@ -239,6 +238,12 @@ fn spare_the_scene(scene: &Path, folder: &Path) -> Result<(), Error> {
 }
 
 fn make_folder(folder: &Path) -> Result<(), Error> {
+    if folder.exists() && !folder.is_dir() {
+        return Err(Error::Setting(format!(
+            "{}: expected a folder to write to, found a file",
+            folder.display()
+        )));
+    }
     std::fs::create_dir_all(folder).map_err(|source| Error::Write {
         path: folder.to_owned(),
         source,

@@ -17,7 +17,7 @@ use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
 use luxel_solve::{Progress, Solver, SolverSettings, Transport};
 use luxel_transport::{Bvh, FrontLines, Matrix, MatrixSettings, RayCaster};
 use rayon::prelude::*;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Refinements of an adaptive mesh before it is taken as it is.
@@ -47,6 +47,7 @@ pub struct Session {
     settings: Settings,
     scene: Arc<Scene>,
     source: Option<Source>,
+    files: Vec<PathBuf>,
     warnings: Warnings,
     caster: Bvh,
     strategy: Box<dyn Strategy>,
@@ -102,14 +103,16 @@ impl Session {
         enter(watch, &Status::begin(Stage::Read))?;
         let document = read(path, settings)?;
         clock.end(Stage::Read);
-        Session::start(
+        let mut session = Session::start(
             document.scene,
             Some(document.source),
             document.warnings,
             settings,
             clock,
             watch,
-        )
+        )?;
+        session.files = document.files;
+        Ok(session)
     }
 
     /// Makes a scene that is in memory ready to solve.
@@ -132,15 +135,7 @@ impl Session {
         mut clock: Clock,
         watch: &mut Watch<'_>,
     ) -> Result<Session, Error> {
-        let mut mesh = mesh_settings(&read, settings);
-        let needed = memory_estimate(&read, most_elements(&read, &mesh));
-        if needed > settings.memory {
-            return Err(Error::Memory {
-                scene: read.name,
-                needed_mb: needed / 1_000_000,
-                bound_mb: settings.memory / 1_000_000,
-            });
-        }
+        let mut mesh = fitting_mesh(&read, settings, &mut warnings)?;
         enter(watch, &Status::begin(Stage::Prepare))?;
         let prepare = PrepareSettings::for_mesh(&mesh);
         let scene = Arc::new(luxel_mesh::prepare(read, &prepare, &mut warnings));
@@ -170,6 +165,7 @@ impl Session {
             ),
             scene,
             source,
+            files: Vec::new(),
             warnings,
             caster,
             strategy,
@@ -447,6 +443,11 @@ impl Session {
         self.source.as_ref()
     }
 
+    /// Files that were read for the scene; none for a scene from memory.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
+    }
+
     /// The elements in force.
     pub fn front(&self) -> &Front {
         &self.front
@@ -532,21 +533,49 @@ const BALANCE_LINES: u64 = 1 << 20;
 /// Elements at which a stored matrix is comfortable.
 const MATRIX_ELEMENTS: usize = 3_000;
 
+/// Fewest elements that memory may force on a mesh that was left to us.
+const FEWEST_ELEMENTS: usize = 1_000;
+
 /// Elements for a scene when the user does not say: enough that light on a room's walls is
 /// well drawn, few enough that a solution takes seconds.
 fn default_elements(scene: &Scene) -> usize {
     (20_000 + scene.triangles.len() / 4).min(400_000)
 }
 
-fn mesh_settings(scene: &Scene, settings: &Settings) -> MeshSettings {
-    let target = settings.elements.unwrap_or_else(|| default_elements(scene));
-    let mut mesh = MeshSettings::for_scene(scene, target);
+/// The mesh that was asked for or, if it was left to us, the finest that memory holds.
+fn fitting_mesh(
+    scene: &Scene,
+    settings: &Settings,
+    warnings: &mut Warnings,
+) -> Result<MeshSettings, Error> {
+    let wanted = settings.elements.unwrap_or_else(|| default_elements(scene));
+    let mut mesh = MeshSettings::for_scene(scene, wanted);
     if let Some(edge) = settings.element_edge_m {
         mesh.max_area_m2 = (edge * edge) as f32;
         mesh.max_elements = usize::MAX;
         mesh.max_per_region = usize::MAX;
     }
-    mesh
+    let needed = |mesh: &MeshSettings| memory_estimate(scene, most_elements(scene, mesh));
+    let free = settings.elements.is_none() && settings.element_edge_m.is_none();
+    let mut elements = wanted;
+    while free && needed(&mesh) > settings.memory && elements > FEWEST_ELEMENTS {
+        elements = elements * 3 / 4;
+        mesh = MeshSettings::for_scene(scene, elements);
+    }
+    if needed(&mesh) > settings.memory {
+        return Err(Error::Memory {
+            scene: scene.name.clone(),
+            needed_mb: needed(&mesh).div_ceil(1_000_000),
+            bound_mb: settings.memory / 1_000_000,
+        });
+    }
+    if elements < wanted {
+        let what = format!(
+            "elements are larger than usual, to keep within --memory: {elements}, not {wanted}"
+        );
+        warnings.add(scene.name.as_str(), what, 1);
+    }
+    Ok(mesh)
 }
 
 /// About the most elements that a mesh will have: as many as are allowed, or as the area has room
@@ -561,12 +590,18 @@ fn most_elements(scene: &Scene, mesh: &MeshSettings) -> usize {
     mesh.max_elements.min(by_area)
 }
 
-/// Peak memory of a session, bytes: triangles with their tree, elements with their columns.
+/// Peak memory of a job, bytes: the program with a picture, triangles with their tree, elements
+/// with their columns and vertices. Measured from 60 to a million triangles.
 fn memory_estimate(scene: &Scene, elements: usize) -> u64 {
-    const PER_TRIANGLE: u64 = 320;
-    const PER_ELEMENT: u64 = 160;
-    const PER_COLUMN: u64 = 48;
+    const PROGRAM: u64 = 110_000_000;
+    const PER_TRIANGLE: u64 = 950;
+    const PER_ELEMENT: u64 = 500;
+    const PER_COLUMN: u64 = 90;
     let columns = scene.layers().columns() as u64;
     let elements = (elements as u64).min(1 << 32);
-    scene.triangles.len() as u64 * PER_TRIANGLE + elements * (PER_ELEMENT + columns * PER_COLUMN)
+    let texels: usize = scene.textures.iter().map(|t| t.rgba.len()).sum();
+    PROGRAM
+        + 8 * texels as u64
+        + scene.triangles.len() as u64 * PER_TRIANGLE
+        + elements * (PER_ELEMENT + columns * PER_COLUMN)
 }

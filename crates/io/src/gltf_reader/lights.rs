@@ -3,12 +3,10 @@
 use crate::assemble::Assembly;
 use crate::error::{Error, Within};
 use crate::json::{Json, entry};
+use crate::options::MOST_LIGHT;
 use luxel_core::glam::{DMat4, DVec3};
 use luxel_core::{GroupId, Luminaire, LuminaireKind, Rgb, Vec3, View};
 use serde_json::Value;
-
-/// Largest intensity or illuminance that is taken as meant, cd or lx.
-pub(crate) const MOST_INTENSITY: f64 = 1e12;
 
 /// An axis of a node as a unit vector: lights and cameras have no scale.
 fn axis(world: DMat4, column: usize) -> Option<Vec3> {
@@ -48,9 +46,9 @@ pub(crate) fn luminaire(
         .within(within)?
         .unwrap_or([1.0; 3]);
     let strength = value.number("intensity").within(within)?.unwrap_or(1.0);
-    let amount = colour.map(|c| (c * strength).clamp(0.0, MOST_INTENSITY) as f32);
+    let amount = colour.map(|c| (c * strength).clamp(0.0, MOST_LIGHT as f64) as f32);
     if amount != colour.map(|c| (c * strength) as f32) {
-        let what = format!("intensity outside 0 to {MOST_INTENSITY:e} was clamped");
+        let what = format!("intensity outside 0 to {MOST_LIGHT:e} was clamped");
         assembly.warn(&within(), what, 1);
     }
     let intensity = Rgb::from(amount);

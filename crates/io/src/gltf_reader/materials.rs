@@ -5,14 +5,12 @@ use crate::assemble::Assembly;
 use crate::budget::Budget;
 use crate::error::{Error, Within};
 use crate::json::{Json, entry};
+use crate::options::MOST_LIGHT;
 use crate::picture;
 use luxel_core::texture::Wrap;
 use luxel_core::{Alpha, Emission, Finish, FinishId, GroupId, Rgb, Texture, TextureId, Vec2};
 use serde_json::Value;
 use std::collections::HashMap;
-
-/// Largest luminance that is taken as meant, cd/m²: six hundred suns.
-const MOST_LUMINANCE: f32 = 1e12;
 
 /// Which coordinates a texture uses, and how they are changed first.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -200,11 +198,11 @@ impl<'a> Materials<'a> {
             None => 1.0,
         };
         let product = factor.map(|f| (f * strength) as f32);
-        let bounded = product.map(|v| v.clamp(0.0, MOST_LUMINANCE));
+        let bounded = product.map(|v| v.clamp(0.0, MOST_LIGHT));
         if bounded != product {
             assembly.warn(
                 shown,
-                format!("luminance outside 0 to {MOST_LUMINANCE:e} cd/m² was clamped"),
+                format!("luminance outside 0 to {MOST_LIGHT:e} cd/m² was clamped"),
                 1,
             );
         }

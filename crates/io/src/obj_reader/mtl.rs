@@ -5,6 +5,7 @@ use crate::assemble::Assembly;
 use crate::budget::Budget;
 use crate::document::Resolver;
 use crate::error::{Error, clean};
+use crate::options::MOST_LIGHT;
 use crate::picture;
 use luxel_core::texture::Wrap;
 use luxel_core::{Alpha, Emission, Finish, GroupId, Rgb, Texture, TextureId, Vec2};
@@ -186,7 +187,7 @@ impl<'r> Library<'r> {
                 }
                 self.materials[k].diffuse = Some(bounded);
             }
-            "Ke" => self.materials[k].luminance = colour(rest)?.map(|v| v.clamp(0.0, 1e12)),
+            "Ke" => self.materials[k].luminance = colour(rest)?.map(|v| v.clamp(0.0, MOST_LIGHT)),
             "d" => self.materials[k].coverage = last_number(rest)?.clamp(0.0, 1.0),
             "Tr" => self.materials[k].coverage = (1.0 - last_number(rest)?).clamp(0.0, 1.0),
             "illum" => {
