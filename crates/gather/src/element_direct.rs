@@ -23,7 +23,7 @@ pub struct ElementDirect {
     pub samples: u32,
     /// Strongest lights that each element asks one by one.
     pub strong: usize,
-    /// Shadow rays for all the other lights together.
+    /// Shadow rays for all the other lights together; more where they are near.
     pub weak_samples: u32,
     /// Seed of every random number.
     pub seed: u32,
@@ -226,7 +226,13 @@ impl Job<'_> {
     fn lottery(&self, element: ElementId, k: usize, site: (Vec3, Vec3, f32), s: &mut Scratch) {
         let lights = self.lights;
         let offset = self.caster.offset_m();
-        let draws = self.settings.weak_samples.max(1);
+        let near = |&(guess, item): &(f32, Item)| match item {
+            Item::Light(l) => guess * nearness(&lights.lights[l as usize], site.0, site.2) as f32,
+            Item::Node(_) => guess,
+        };
+        let whole: f32 = s.lots.items.iter().map(|i| i.0).sum();
+        let times = s.lots.items.iter().map(near).sum::<f32>() / whole;
+        let draws = self.settings.weak_samples.max(1) * (times as u32).next_power_of_two();
         let sequence = Sequence::new(hash([self.settings.seed, 0x77ea]), element.0);
         for i in 0..draws {
             let [u, v, a, b] = sequence.point4(i);
