@@ -37,6 +37,9 @@ const STILL_TO_COME: f64 = 0.01;
 /// of the noise.
 const BIAS_TO_NOISE: f64 = 0.25;
 
+/// Lines an element from which a shot is told what the last one brought.
+const LEVEL_LINES: u64 = 4;
+
 /// Shooting ends after this many passes in any case. Closed white rooms come here.
 const MOST_SHOTS: u32 = 64;
 
@@ -152,9 +155,11 @@ impl Chain {
         };
         let seed = hash([problem.seed, self.stream, self.phase.tag(), count]);
         // A shot is expected to bring what the last one brought, less the loss of a bounce. All
-        // levels are local, so a room that no light reaches stays exactly dark.
+        // levels are local, so a room that no light reaches stays exactly dark. With few lines an
+        // element the last shot is mostly noise, which each further shot would hand on and add to.
+        let told = lines >= LEVEL_LINES * problem.len() as u64;
         let expected: Vec<f32> = match self.phase {
-            Phase::Shooting(_) if self.fresh.len() == size => {
+            Phase::Shooting(_) if told && self.fresh.len() == size => {
                 self.fresh.iter().map(|h| h * self.decay as f32).collect()
             }
             _ => nothing.clone(),
