@@ -25,7 +25,7 @@ const MEAN_RECEIVERS: u32 = 2048;
 const EVERYWHERE_RECEIVERS: u32 = 64;
 /// Elements aimed at: rooms of one box need no more for 0.1 %; facets are not to be clustered.
 const ELEMENTS: usize = 6_000;
-const FACET_ELEMENTS: usize = 60_000;
+const FACET_ELEMENTS: usize = 30_000;
 
 /// A triangle with its corners, f64.
 type Triangle = [[f64; 3]; 3];
