@@ -178,10 +178,6 @@ impl Chain {
                 Phase::Fresh | Phase::Shooting(_) => Level::Everywhere(&nothing),
             },
         };
-        let count = match self.phase {
-            Phase::Fresh | Phase::Residual => 0,
-            Phase::Shooting(n) | Phase::Regular(n) => n,
-        };
         self.plan
             .distribute(problem, &sent, lines, hash([seed, self.phase.tag(), count]));
         let mut fresh = std::mem::take(&mut self.fresh);
