@@ -256,6 +256,12 @@ impl Scene {
         }
     }
 
+    /// Largest absolute coordinate, metres: what decides on how exact f32 is here.
+    pub fn largest_coordinate(&self) -> f32 {
+        let (low, high) = self.bounds();
+        low.abs().max(high.abs()).max_element()
+    }
+
     /// Length of the bounds' diagonal, metres.
     pub fn diagonal(&self) -> f32 {
         let (low, high) = self.bounds();

@@ -1,6 +1,5 @@
 //! What is asked at a receiver and what is answered.
 
-use crate::shadow::photometric_f32;
 use luxel_core::{Rgb, Vec3, layers};
 
 /// A point that light falls on: on a surface or a hair above it, or free in the room.
@@ -68,15 +67,17 @@ impl Irradiance {
     /// All groups together at a receiver, lux of each band. What is random in it may lie a hair
     /// below zero or, from absurd input, be no number: both are 0 here.
     pub fn total(&self, receiver: usize) -> Rgb {
-        let row = &self.values[receiver * self.columns..(receiver + 1) * self.columns];
         let lit = |v: f32| if v.is_finite() { v.max(0.0) } else { 0.0 };
-        Rgb::from(layers::total(row).to_array().map(lit))
+        Rgb::from(layers::total(self.row(receiver)).to_array().map(lit))
     }
 
     /// Photometric total at a receiver, lux.
     pub fn lux(&self, receiver: usize) -> f32 {
-        let row = &self.values[receiver * self.columns..(receiver + 1) * self.columns];
-        row.chunks_exact(3).map(photometric_f32).sum::<f64>() as f32
+        layers::luminance(self.row(receiver))
+    }
+
+    fn row(&self, receiver: usize) -> &[f32] {
+        &self.values[receiver * self.columns..(receiver + 1) * self.columns]
     }
 }
 

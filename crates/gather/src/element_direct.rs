@@ -227,11 +227,12 @@ impl Job<'_> {
         let lights = self.lights;
         let offset = self.caster.offset_m();
         let near = |&(guess, item): &(f32, Item)| match item {
-            Item::Light(l) => guess * nearness(&lights.lights[l as usize], site.0, site.2) as f32,
-            Item::Node(_) => guess,
+            Item::Light(l) => {
+                (guess * nearness(&lights.lights[l as usize], site.0, site.2) as f32) as f64
+            }
+            Item::Node(_) => guess as f64,
         };
-        let whole: f32 = s.lots.items.iter().map(|i| i.0).sum();
-        let times = s.lots.items.iter().map(near).sum::<f32>() / whole;
+        let times = s.lots.items.iter().map(near).sum::<f64>() / s.lots.whole;
         let draws = self.settings.weak_samples.max(1) * (times as u32).next_power_of_two();
         let sequence = Sequence::new(hash([self.settings.seed, 0x77ea]), element.0);
         for i in 0..draws {

@@ -127,7 +127,7 @@ pub(crate) struct Lots {
     /// Running sum of the weights.
     sums: Vec<f64>,
     /// Sum of the guesses, lux.
-    whole: f64,
+    pub whole: f64,
 }
 
 /// One draw of a lottery.

@@ -13,7 +13,6 @@ use crate::lights::{DirectLights, Light, LightKind, View, photometric};
 use crate::lottery::Lots;
 use crate::tree::{FINE, Item, sort};
 use luxel_core::Vec3;
-use luxel_core::quantity::LUMINANCE_WEIGHTS;
 use luxel_transport::sampling::hash;
 use luxel_transport::{Ray, RayCaster, Sequence};
 
@@ -308,11 +307,4 @@ pub(crate) fn strong_lights<'a>(
     }
     items.truncate(kept);
     lots.close();
-}
-
-/// Photometric value of three bands of a row.
-pub(crate) fn photometric_f32(band: &[f32]) -> f64 {
-    (0..3)
-        .map(|b| band[b] as f64 * LUMINANCE_WEIGHTS[b] as f64)
-        .sum()
 }

@@ -44,14 +44,10 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
         watch,
     );
     session.clock_mut().end(Stage::Gather);
-    let columns = irradiance.columns;
     let mut met = true;
-    for (row, error) in irradiance
-        .values
-        .chunks(columns)
-        .zip(&mut irradiance.errors)
-    {
-        let value = luxel_core::layers::luminance(row);
+    for receiver in 0..irradiance.errors.len() {
+        let value = irradiance.lux(receiver);
+        let error = &mut irradiance.errors[receiver];
         met &= *error <= (accuracy.relative * value).max(accuracy.floor_lux);
         *error = error.hypot(noise as f32 * value);
     }

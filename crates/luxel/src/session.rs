@@ -555,17 +555,19 @@ fn fitting_mesh(
         mesh.max_elements = usize::MAX;
         mesh.max_per_region = usize::MAX;
     }
-    let needed = |mesh: &MeshSettings| memory_estimate(scene, most_elements(scene, mesh));
+    let estimate = memory_estimate(scene);
     let free = settings.elements.is_none() && settings.element_edge_m.is_none();
     let mut elements = wanted;
-    while free && needed(&mesh) > settings.memory && elements > FEWEST_ELEMENTS {
+    let mut needed = estimate(&mesh);
+    while free && needed > settings.memory && elements > FEWEST_ELEMENTS {
         elements = elements * 3 / 4;
         mesh = MeshSettings::for_scene(scene, elements);
+        needed = estimate(&mesh);
     }
-    if needed(&mesh) > settings.memory {
+    if needed > settings.memory {
         return Err(Error::Memory {
             scene: scene.name.clone(),
-            needed_mb: needed(&mesh).div_ceil(1_000_000),
+            needed_mb: needed.div_ceil(1_000_000),
             bound_mb: settings.memory / 1_000_000,
         });
     }
@@ -578,30 +580,23 @@ fn fitting_mesh(
     Ok(mesh)
 }
 
-/// About the most elements that a mesh will have: as many as are allowed, or as the area has room
-/// for, with a few for each triangle.
-fn most_elements(scene: &Scene, mesh: &MeshSettings) -> usize {
-    let area: f64 = (0..scene.triangles.len())
-        .map(|t| scene.area(t) as f64)
-        .sum();
-    // Both sides, and cells that are halved in both directions to get under the bound.
-    let by_area = 4.0 * area / mesh.max_area_m2.max(f32::MIN_POSITIVE) as f64;
-    let by_area = (by_area as usize).saturating_add(4 * scene.triangles.len());
-    mesh.max_elements.min(by_area)
-}
-
-/// Peak memory of a job, bytes: the program with a picture, triangles with their tree, elements
-/// with their columns and vertices. Measured from 60 to a million triangles.
-fn memory_estimate(scene: &Scene, elements: usize) -> u64 {
+/// Peak memory, bytes, of a job with a mesh: the program with a picture, triangles with their tree,
+/// elements with their columns and vertices. Measured from 60 to a million triangles.
+fn memory_estimate(scene: &Scene) -> impl Fn(&MeshSettings) -> u64 {
     const PROGRAM: u64 = 110_000_000;
     const PER_TRIANGLE: u64 = 950;
     const PER_ELEMENT: u64 = 500;
     const PER_COLUMN: u64 = 90;
-    let columns = scene.layers().columns() as u64;
-    let elements = (elements as u64).min(1 << 32);
+    let triangles = scene.triangles.len();
+    let area: f64 = (0..triangles).map(|t| scene.area(t) as f64).sum();
     let texels: usize = scene.textures.iter().map(|t| t.rgba.len()).sum();
-    PROGRAM
-        + 8 * texels as u64
-        + scene.triangles.len() as u64 * PER_TRIANGLE
-        + elements * (PER_ELEMENT + columns * PER_COLUMN)
+    let fixed = PROGRAM + 8 * texels as u64 + triangles as u64 * PER_TRIANGLE;
+    let each = PER_ELEMENT + scene.layers().columns() as u64 * PER_COLUMN;
+    move |mesh| {
+        // As many as are allowed, or as the area has room for, with a few for each triangle: both
+        // sides, and cells that are halved in both directions to get under the bound.
+        let by_area = 4.0 * area / mesh.max_area_m2.max(f32::MIN_POSITIVE) as f64;
+        let by_area = (by_area as usize).saturating_add(4 * triangles);
+        fixed + (mesh.max_elements.min(by_area) as u64).min(1 << 32) * each
+    }
 }

@@ -106,6 +106,11 @@ impl Contact {
     pub fn length(&self) -> f64 {
         (self.ends[1] - self.ends[0]).length()
     }
+
+    /// What tells ends apart: equal bits, same place.
+    fn bits(&self) -> [[u64; 3]; 2] {
+        self.ends.map(|p| p.to_array().map(f64::to_bits))
+    }
 }
 
 /// What was found.
@@ -185,13 +190,7 @@ pub(crate) fn contacts(
         }
     }
     out.doubled = doubled.iter().filter(|&&d| d).count();
-    let key = |c: &Contact| {
-        (
-            c.group,
-            c.triangle,
-            c.ends.map(|p| p.to_array().map(f64::to_bits)),
-        )
-    };
+    let key = |c: &Contact| (c.group, c.triangle, c.bits());
     out.lines.par_sort_by_key(key);
     out.lines.dedup_by_key(|c| key(c));
     out.lines = drop_small(out.lines, min_contact_m as f64);
@@ -329,13 +328,12 @@ fn same_place(scene: &Scene, q: u32, t: u32, normal: DVec3) -> bool {
 /// Leaves at most about `most` lines: the longest on each triangle, equally many on those that have
 /// too many. Returns how many are dropped; lines that came twice do not count.
 fn keep_longest(lines: &mut Vec<Contact>, most: usize) -> usize {
-    let bits = |c: &Contact| c.ends.map(|p| p.to_array().map(f64::to_bits));
     lines.par_sort_unstable_by(|a, b| {
         let longer = b.length().total_cmp(&a.length());
         let triangle = a.triangle.cmp(&b.triangle);
-        triangle.then(longer).then_with(|| bits(a).cmp(&bits(b)))
+        triangle.then(longer).then_with(|| a.bits().cmp(&b.bits()))
     });
-    lines.dedup_by(|a, b| a.triangle == b.triangle && bits(a) == bits(b));
+    lines.dedup_by(|a, b| a.triangle == b.triangle && a.bits() == b.bits());
     let counts: Vec<usize> = lines
         .chunk_by(|a, b| a.triangle == b.triangle)
         .map(<[Contact]>::len)
@@ -363,13 +361,13 @@ fn drop_small(lines: Vec<Contact>, least: f64) -> Vec<Contact> {
         let ends: Vec<[usize; 2]> = run
             .iter()
             .map(|c| {
-                c.ends.map(|p| {
-                    *ids.entry(p.to_array().map(f64::to_bits))
-                        .or_insert_with(|| {
-                            parent.push(parent.len());
-                            bounds.push((p, p));
-                            parent.len() - 1
-                        })
+                let bits = c.bits();
+                [0, 1].map(|end| {
+                    *ids.entry(bits[end]).or_insert_with(|| {
+                        parent.push(parent.len());
+                        bounds.push((c.ends[end], c.ends[end]));
+                        parent.len() - 1
+                    })
                 })
             })
             .collect();

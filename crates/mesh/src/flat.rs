@@ -118,8 +118,7 @@ pub(crate) fn flats(scene: &Scene, wanted: &[bool]) -> Flats {
     // Rays start eight units in the last place of the largest coordinate above a patch
     // (`RayCaster::offset_m`); a source triangle may not come nearer than that. Four corners
     // that are off by two each are off by eight at worst.
-    let (low, high) = scene.bounds();
-    let most_m = 2.0 * f32::EPSILON as f64 * low.abs().max(high.abs()).max_element() as f64;
+    let most_m = 2.0 * f32::EPSILON as f64 * scene.largest_coordinate() as f64;
     let mut region_of = vec![NONE; scene.triangles.len()];
     // Large triangles first: the plane of a sliver is uncertain.
     let mut seeds: Vec<(i32, u32)> = (0..scene.triangles.len())

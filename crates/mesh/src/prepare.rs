@@ -68,12 +68,9 @@ impl PrepareSettings {
 /// Lights, finishes and surfaces stay; triangles and positions are added, and the ranges of the
 /// surfaces follow. A scene without contacts comes back as it was. Warns of lines that were left
 /// out, of triangles that could not be cut, and of large triangles that lie in the place of
-/// another surface (a rug exactly in the floor): those are not solved.
+/// others (a rug exactly in the floor): those are not solved.
 pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings) -> Scene {
-    let largest = {
-        let (low, high) = scene.bounds();
-        low.abs().max(high.abs()).max_element() as f64
-    };
+    let largest = scene.largest_coordinate() as f64;
     let tolerance = (settings.tolerance_m as f64)
         .min(1e-4 * scene.diagonal() as f64)
         .max(largest * 8.0 * f32::EPSILON as f64);

@@ -308,8 +308,7 @@ impl<'a> Assembly<'a> {
                 )
             })
             .collect();
-        let (low, high) = scene.bounds();
-        let flat = 4.0 * f32::EPSILON * low.abs().max(high.abs()).max_element();
+        let flat = 4.0 * f32::EPSILON * scene.largest_coordinate();
         let (centre, radius) = balls.into_iter().unzip();
         Assembly {
             scene,

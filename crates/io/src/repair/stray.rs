@@ -68,10 +68,7 @@ fn middle(scene: &Scene, kept: &[usize]) -> Option<Vec3> {
 
 /// Warns when coordinates are so large that f32 cannot tell a millimetre.
 pub(super) fn warn_if_coarse(scene: &Scene, file: &str, warnings: &mut Warnings) {
-    let largest = scene
-        .positions
-        .iter()
-        .fold(0.0f32, |most, p| most.max(p.abs().max_element()));
+    let largest = scene.largest_coordinate();
     let resolution = 8.0 * f32::EPSILON * largest;
     if resolution > COARSE_M {
         let what = format!(
