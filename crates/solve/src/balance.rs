@@ -195,21 +195,30 @@ fn by_lines(
         .into_par_iter()
         .map(|chunk| {
             let mut sums = Sums::new(problem.columns());
+            let runs: Vec<_> = (chunk * CHUNK..n.min((chunk + 1) * CHUNK))
+                .map(|i| {
+                    let by_flux = if whole > 0.0 { flux[i] / whole } else { 0.0 };
+                    let by_area = if area > 0.0 {
+                        problem.area[i] / area
+                    } else {
+                        0.0
+                    };
+                    let expected = 0.5 * lines as f64 * (by_flux + by_area);
+                    let count = 1u32 << (expected.max(1.0).log2().round() as u32).min(24);
+                    (ElementId::from(i), 0..count)
+                })
+                .collect();
             let mut arrivals = Vec::new();
-            for i in chunk * CHUNK..n.min((chunk + 1) * CHUNK) {
-                let by_flux = if whole > 0.0 { flux[i] / whole } else { 0.0 };
-                let by_area = if area > 0.0 {
-                    problem.area[i] / area
-                } else {
-                    0.0
-                };
-                let expected = 0.5 * lines as f64 * (by_flux + by_area);
-                let count = 1u32 << (expected.max(1.0).log2().round() as u32).min(24);
-                local.cast(ElementId::from(i), 0..count, seed, &mut arrivals);
-                let each = 1.0 / arrivals.len().max(1) as f64;
+            local.cast_each(&runs, seed, &mut arrivals);
+            let mut rest = &arrivals[..];
+            for (element, samples) in runs {
+                let i = element.index();
+                let own;
+                (own, rest) = rest.split_at(samples.len());
+                let each = 1.0 / own.len() as f64;
                 let load = load(problem, solution, i);
                 let (mut outside, mut black) = (0u32, 0u32);
-                for arrival in &arrivals {
+                for arrival in own {
                     match arrival.element() {
                         Some(j) => sums.arrive(problem, &load, each, j.index()),
                         None if *arrival == Arrival::OUTSIDE => outside += 1,

@@ -243,26 +243,26 @@ impl LinePlan {
         let sorted: Vec<Binned> = tasks
             .into_par_iter()
             .map(|(first, sums)| {
+                let runs: Vec<_> = (first..first + sums.len() / columns)
+                    .filter(|&i| count[i] > 0)
+                    .map(|i| (ElementId::from(i), 0..count[i]))
+                    .collect();
                 let mut arrivals = Vec::new();
-                let load: usize = (first..first + sums.len() / columns)
-                    .map(|i| count[i] as usize)
-                    .sum();
-                let mut pairs = Vec::with_capacity(load);
-                let mut cast = 0;
-                for (k, sum) in sums.chunks_exact_mut(columns).enumerate() {
-                    let i = first + k;
-                    if count[i] == 0 {
-                        continue;
-                    }
-                    lines.cast(ElementId(i as u32), 0..count[i], seed, &mut arrivals);
-                    cast += arrivals.len() as u64;
-                    let level = sent.level.of(i, columns);
-                    let (_, q) = end::<C>(ends, i, columns);
-                    for &arrival in &arrivals {
+                lines.cast_each(&runs, seed, &mut arrivals);
+                let mut pairs = Vec::with_capacity(arrivals.len());
+                let mut rest = &arrivals[..];
+                for (ElementId(i), samples) in runs {
+                    let own;
+                    (own, rest) = rest.split_at(samples.len());
+                    let at = (i as usize - first) * columns;
+                    let sum = &mut sums[at..at + columns];
+                    let level = sent.level.of(i as usize, columns);
+                    let (_, q) = end::<C>(ends, i as usize, columns);
+                    for &arrival in own {
                         if let Some(ElementId(j)) = arrival.element() {
                             let (row, far) = end::<C>(ends, j as usize, columns);
                             add::<C>(sum, row, level, 1.0 / (q + far));
-                            pairs.push((i as u32, j));
+                            pairs.push((i, j));
                         } else {
                             let outside = arrival == Arrival::OUTSIDE;
                             let seen = if outside { sent.outside } else { &black };
@@ -270,6 +270,7 @@ impl LinePlan {
                         }
                     }
                 }
+                let cast = arrivals.len() as u64;
                 Binned::new(&pairs, shift, bins, cast)
             })
             .collect();

@@ -68,23 +68,19 @@ impl LocalLines for Constant {
         self.areas.len()
     }
 
-    fn cast(
-        &self,
-        element: ElementId,
-        samples: Range<u32>,
-        seed: u32,
-        arrivals: &mut Vec<Arrival>,
-    ) {
-        let sequence = Sequence::new(seed, element.0);
+    fn cast_each(&self, runs: &[(ElementId, Range<u32>)], seed: u32, arrivals: &mut Vec<Arrival>) {
         arrivals.clear();
-        arrivals.extend(samples.map(|k| {
-            let u = sequence.point1(k);
-            let j = self
-                .cumulative
-                .partition_point(|&c| c <= u)
-                .min(self.areas.len() - 1);
-            Arrival::on(ElementId::from(j))
-        }));
+        for (element, samples) in runs {
+            let sequence = Sequence::new(seed, element.0);
+            arrivals.extend(samples.clone().map(|k| {
+                let u = sequence.point1(k);
+                let j = self
+                    .cumulative
+                    .partition_point(|&c| c <= u)
+                    .min(self.areas.len() - 1);
+                Arrival::on(ElementId::from(j))
+            }));
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 //! one dynamic call does much work.
 
 use luxel_core::{ElementId, Side, Vec3};
+use std::ops::Range;
 
 /// A ray or segment: points `origin + t direction` for `t_min < t <= t_max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -148,14 +149,21 @@ pub trait LocalLines: Sync + Send {
         self.len() == 0
     }
 
-    /// Casts lines `samples` of the low-discrepancy sequence that belongs to (`element`,
-    /// `seed`). `arrivals` is replaced, one entry a sample, in order. Any run of a power of two
-    /// samples is well spread.
+    /// Casts lines of several elements: of each run those with the numbers `samples` in the
+    /// low-discrepancy sequence that belongs to (element, `seed`). `arrivals` is replaced, one
+    /// entry a line, in order. Any run of a power of two samples is well spread.
+    ///
+    /// Long lists cost less a line than short ones.
+    fn cast_each(&self, runs: &[(ElementId, Range<u32>)], seed: u32, arrivals: &mut Vec<Arrival>);
+
+    /// Casts lines of one element, as [`LocalLines::cast_each`].
     fn cast(
         &self,
         element: ElementId,
-        samples: std::ops::Range<u32>,
+        samples: Range<u32>,
         seed: u32,
         arrivals: &mut Vec<Arrival>,
-    );
+    ) {
+        self.cast_each(&[(element, samples)], seed, arrivals);
+    }
 }

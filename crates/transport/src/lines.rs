@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Rays handed to the caster at once: enough for it to sort and pack, little enough for cache.
-const BATCH: u32 = 1024;
+const BATCH: usize = 1024;
 
 /// Lines through a real scene, found by a ray caster.
 pub struct FrontLines<'a> {
@@ -66,34 +66,27 @@ impl LocalLines for FrontLines<'_> {
         self.front.len()
     }
 
-    fn cast(
-        &self,
-        element: ElementId,
-        samples: Range<u32>,
-        seed: u32,
-        arrivals: &mut Vec<Arrival>,
-    ) {
+    fn cast_each(&self, runs: &[(ElementId, Range<u32>)], seed: u32, arrivals: &mut Vec<Arrival>) {
         arrivals.clear();
-        let count = samples.len();
+        let count = runs.iter().map(|(_, samples)| samples.len()).sum();
         arrivals.reserve(count);
-        let sequence = Sequence::new(seed, element.0);
         let offset_m = self.caster.offset_m();
-        let size = count.min(BATCH as usize);
+        let mut lines = runs.iter().flat_map(|(element, samples)| {
+            let sequence = Sequence::new(seed, element.0);
+            samples
+                .clone()
+                .map(move |k| self.ray(*element, &sequence, k, offset_m))
+        });
+        let size = count.min(BATCH);
         let mut rays = Vec::with_capacity(size);
         let mut hits = vec![Hit::MISS; size];
-        let mut from = samples.start;
-        while from < samples.end {
-            let to = samples.end.min(from.saturating_add(BATCH));
+        while arrivals.len() < count {
             rays.clear();
-            rays.extend((from..to).map(|k| self.ray(element, &sequence, k, offset_m)));
+            rays.extend(lines.by_ref().take(BATCH));
             let hits = &mut hits[..rays.len()];
             self.caster.closest(&rays, hits);
-            arrivals.extend(
-                rays.iter()
-                    .zip(hits.iter())
-                    .map(|(r, h)| self.arrival(r, h)),
-            );
-            from = to;
+            let pairs = rays.iter().zip(hits.iter());
+            arrivals.extend(pairs.map(|(ray, hit)| self.arrival(ray, hit)));
         }
     }
 }
@@ -153,22 +146,18 @@ impl LocalLines for FactorLines {
         self.offsets.len() - 1
     }
 
-    fn cast(
-        &self,
-        element: ElementId,
-        samples: Range<u32>,
-        seed: u32,
-        arrivals: &mut Vec<Arrival>,
-    ) {
+    fn cast_each(&self, runs: &[(ElementId, Range<u32>)], seed: u32, arrivals: &mut Vec<Arrival>) {
         arrivals.clear();
-        let run = self.offsets[element.index()]..self.offsets[element.index() + 1];
-        let (targets, cumulative) = (&self.targets[run.clone()], &self.cumulative[run]);
-        let sequence = Sequence::new(seed, element.0);
-        arrivals.extend(samples.map(|k| {
-            let u = sequence.point1(k);
-            let at = cumulative.partition_point(|&c| c <= u);
-            targets.get(at).copied().unwrap_or(Arrival::BLACK)
-        }));
+        for (element, samples) in runs {
+            let run = self.offsets[element.index()]..self.offsets[element.index() + 1];
+            let (targets, cumulative) = (&self.targets[run.clone()], &self.cumulative[run]);
+            let sequence = Sequence::new(seed, element.0);
+            arrivals.extend(samples.clone().map(|k| {
+                let u = sequence.point1(k);
+                let at = cumulative.partition_point(|&c| c <= u);
+                targets.get(at).copied().unwrap_or(Arrival::BLACK)
+            }));
+        }
     }
 }
 
@@ -215,6 +204,9 @@ mod tests {
             joined.append(&mut part);
         }
         assert_eq!(whole, joined);
+        let runs = [100..101, 101..101, 101..2400, 2400..2900].map(|run| (ElementId(3), run));
+        lines.cast_each(&runs, 1, &mut part);
+        assert_eq!(whole, part);
     }
 
     #[test]
