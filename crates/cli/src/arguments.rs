@@ -75,7 +75,7 @@ pub struct SceneArguments {
     #[arg(long, value_name = "KIND", value_parser = ["same", "black"])]
     pub back: Option<String>,
     /// Reflectance above this is clamped, and said
-    #[arg(long, value_name = "SHARE", value_parser = units::share)]
+    #[arg(long, value_name = "SHARE", value_parser = units::reflectance)]
     pub max_reflectance: Option<f64>,
     /// Add a lamp: 800lm@x,y,z or 10cd@x,y,z>dx,dy,dz:inner,outer or 1000lx@dx,dy,dz; a colour may follow: *1,0.9,0.8
     #[arg(long, value_name = "LAMP")]
@@ -94,10 +94,10 @@ pub struct SceneArguments {
 /// How it is solved.
 #[derive(Args, Debug, Clone)]
 pub struct SolveArguments {
-    /// Asked accuracy of what is shown: relative standard error
+    /// Asked accuracy of what is shown, as 2% or 0.02: relative standard error
     #[arg(long, value_name = "SHARE", default_value = "2%", value_parser = units::accuracy)]
     pub error: f64,
-    /// Most time for solving and gathering; what is reached by then is written
+    /// Most time for solving and gathering, as 30s or 5min; what is reached by then is written
     #[arg(long, value_name = "TIME", value_parser = units::duration)]
     pub time: Option<Duration>,
     /// Mesh strategy: uniform, dense or adaptive

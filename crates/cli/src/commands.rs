@@ -52,7 +52,7 @@ fn threads(common: &Common) -> Result<(), String> {
 fn stop_on_interrupt() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let seen = stop.clone();
-    // Without a handler Ctrl-C ends the program as usual: nothing is lost but the last stretch.
+    // SIGTERM and SIGHUP, too. Without a handler Ctrl-C ends the program as usual: nothing is lost but the last stretch.
     let _ = ctrlc::set_handler(move || {
         if seen.swap(true, Ordering::SeqCst) {
             std::process::exit(130);
@@ -75,7 +75,7 @@ fn watch(progress: &mut terminal::Progress, stop: &AtomicBool, status: &Status) 
 fn ended(error: luxel::Error) -> Result<Outcome, String> {
     match error {
         luxel::Error::Stopped => {
-            eprintln!("luxel: {error}");
+            terminal::error(&error.to_string());
             Ok(Outcome::Short)
         }
         other => Err(other.to_string()),
@@ -147,7 +147,14 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     progress.end();
     if !arguments.common.quiet {
         for warning in session.warnings().iter() {
-            eprintln!("warning: {warning}");
+            terminal::say(&format!("warning: {warning}"));
+        }
+        let dark = answer.irradiance.dark();
+        if dark > 0 {
+            terminal::say(&format!(
+                "warning: no light at {dark} of {} points: inside a solid, behind a face or outside?",
+                receivers.len()
+            ));
         }
     }
     if arguments.common.json {

@@ -2,16 +2,24 @@
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use luxel::{Stage, Status};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 /// Plain lines come at most this often.
 const LINE_EVERY: Duration = Duration::from_secs(2);
 
+/// Prints one line. A standard error that takes none is no reason to lose the work.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 /// Prints an error as one line.
 pub fn error(message: &str) {
-    let line = message.replace(['\n', '\r'], " ");
-    eprintln!("luxel: {line}");
+    let clean = |c: char| if c.is_control() { ' ' } else { c };
+    say(&format!(
+        "luxel: {}",
+        message.chars().map(clean).collect::<String>()
+    ));
 }
 
 /// Shows how far a job is.
@@ -60,7 +68,7 @@ impl Progress {
             }
             Progress::Lines { stage, last } => {
                 if *stage != Some(status.stage) || last.elapsed() > LINE_EVERY {
-                    eprintln!("{:>12}: {}", status.stage.name(), words(status));
+                    say(&format!("{:>12}: {}", status.stage.name(), words(status)));
                     *stage = Some(status.stage);
                     *last = Instant::now();
                 }

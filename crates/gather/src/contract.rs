@@ -76,6 +76,12 @@ impl Irradiance {
         layers::luminance(self.row(receiver))
     }
 
+    /// How many receivers no light reaches.
+    pub fn dark(&self) -> usize {
+        let dark = |&receiver: &usize| self.row(receiver).iter().all(|&v| v == 0.0);
+        (0..self.errors.len()).filter(dark).count()
+    }
+
     fn row(&self, receiver: usize) -> &[f32] {
         &self.values[receiver * self.columns..(receiver + 1) * self.columns]
     }

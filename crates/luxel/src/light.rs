@@ -191,7 +191,7 @@ fn gather(
         &Gathering {
             receivers: &sites.receivers,
             weights: &sites.weights,
-            time: settings.time,
+            time: session.time_left(),
             most_rays,
             rest: Rest::LeftOut,
         },

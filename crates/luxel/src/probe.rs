@@ -36,7 +36,7 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
         &Gathering {
             receivers,
             weights: &[],
-            time: session.settings().time,
+            time: session.time_left(),
             most_rays: f64::INFINITY,
             rest: Rest::Hurried,
         },

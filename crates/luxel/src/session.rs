@@ -19,6 +19,7 @@ use luxel_transport::{Bvh, FrontLines, Matrix, MatrixSettings, RayCaster};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Refinements of an adaptive mesh before it is taken as it is.
 const MOST_REFINEMENTS: u32 = 4;
@@ -155,6 +156,11 @@ impl Session {
         clock.end(Stage::Mesh);
 
         let lights = DirectLights::new(&scene, &front);
+        let shines = |e: &Rgb| e.luminance() > 0.0;
+        if lights.is_empty() && scene.sky.is_none() && !front.emission.iter().any(shines) {
+            let what = "there is no light: add some with --lamp, --emit or --sky";
+            warnings.add(scene.name.as_str(), what, 1);
+        }
         let mut session = Session {
             settings: settings.clone(),
             matter: Matter::new(
@@ -486,6 +492,13 @@ impl Session {
     /// How far the solver is.
     pub fn progress(&self) -> Progress {
         self.progress
+    }
+
+    /// What solving has left of the time for solving and gathering, if it is bounded.
+    pub(crate) fn time_left(&self) -> Option<Duration> {
+        let solving = self.clock.of(Stage::Solve).wall;
+        let time = self.settings.time?;
+        Some(time.saturating_sub(Duration::from_secs_f64(solving)))
     }
 
     /// Times of the stages so far.

@@ -65,11 +65,21 @@ pub fn share(text: &str) -> Result<f64, String> {
     by_unit(text, &[("%", 0.01), ("", 1.0)], "2%")
 }
 
-/// An accuracy: a [`share`] of at least a millionth.
+/// An accuracy: a [`share`] from a millionth to 1. So a bare `5`, which may mean 5 %, is refused.
 pub fn accuracy(text: &str) -> Result<f64, String> {
     match share(text)? {
-        error if error >= 1e-6 => Ok(error),
-        _ => Err(format!("expected at least 0.0001%, found '{text}'")),
+        error if (1e-6..=1.0).contains(&error) => Ok(error),
+        _ => Err(format!(
+            "expected from 0.0001% to 100%, like 5% or 0.05, found '{text}'"
+        )),
+    }
+}
+
+/// A reflectance: a [`share`] below 1, for in a closed room of 1 light would never end.
+pub fn reflectance(text: &str) -> Result<f64, String> {
+    match share(text)? {
+        share if share <= 0.999 => Ok(share),
+        _ => Err(format!("expected at most 99.9%, found '{text}'")),
     }
 }
 
@@ -136,5 +146,11 @@ mod tests {
             assert!(message.contains(told), "{wrong}: {message}");
         }
         assert!(duration("1e300h").is_err());
+        assert_eq!(accuracy("5%"), Ok(0.05));
+        assert_eq!(reflectance("0.9"), Ok(0.9));
+        assert!(reflectance("1").is_err() && reflectance("90").is_err());
+        for wrong in ["5", "101%", "0", "1e-9"] {
+            assert!(accuracy(wrong).is_err(), "{wrong}");
+        }
     }
 }

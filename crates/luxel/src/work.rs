@@ -6,7 +6,7 @@ use crate::watch::{Control, Status, Watch};
 use luxel_gather::{Accuracy, Gatherer, Irradiance, Receiver};
 use std::time::{Duration, Instant};
 
-/// Share of the time bound that the solver may use; the rest is for gathering.
+/// Share of the time bound that the solver may use; what it leaves is for gathering.
 const SOLVE_SHARE: f64 = 0.6;
 
 /// Share of the work from which on the time left is told: the first steps foretell badly.
@@ -87,7 +87,7 @@ pub struct Gathering<'a> {
     pub receivers: &'a [Receiver],
     /// What each counts, above 0 (the area that it stands for); empty when all count the same.
     pub weights: &'a [f32],
-    /// The bound of the whole job.
+    /// Most time for it.
     pub time: Option<Duration>,
     /// About the most rays for all together.
     pub most_rays: f64,
@@ -115,9 +115,7 @@ pub fn gather(
 ) -> (Irradiance, End) {
     let began = Instant::now();
     let receivers = gathering.receivers;
-    let bound = gathering
-        .time
-        .map(|t| t.as_secs_f64() * (1.0 - SOLVE_SHARE));
+    let bound = gathering.time.map(|t| t.as_secs_f64());
     let mut all = gatherer.irradiance_at(&[], accuracy);
     let mut end = End::Reached;
     let mut status = Status::begin(Stage::Gather);

@@ -57,7 +57,8 @@ pub struct Progress {
     /// Steps done.
     pub step: u32,
     /// Absolute unshot flux as a share of the emitted flux (photometric, all groups); for an
-    /// iterative solver the residual's flux.
+    /// iterative solver the residual's flux. Where all is sent at once: what the sums show to be
+    /// missing, as a share of what is there.
     pub unshot_share: f64,
     /// Estimated relative RMS error of element exitance, area-weighted: from independent
     /// estimates for a Monte Carlo solver, a bound from the residual for the others.

@@ -33,6 +33,10 @@ use rayon::prelude::*;
 /// that is wrong by.
 const STILL_TO_COME: f64 = 0.01;
 
+/// Share of the foretold light that the geometric series may have put in the wrong places, where
+/// a sum over all elements does not find it.
+const MISPLACED: f64 = 0.1;
+
 /// Old passes are forgotten by halves while the light that they lacked is more than this share
 /// of the noise.
 const BIAS_TO_NOISE: f64 = 0.25;
@@ -91,9 +95,16 @@ struct Chain {
     lines: f64,
     /// Absolute unshot flux as a share of the emitted flux.
     unshot_share: f64,
-    /// Bounces that are missing now, as a share of the RMS exitance if they fall evenly.
+    /// Bounces that are missing now, as a share of the RMS exitance if they fall evenly: foretold
+    /// from the shots.
     to_come: f64,
     /// The same, mean over the passes in `incident`.
+    foretold: f64,
+    /// Flux by which regular passes found more than was sent, lm, mean over the same passes.
+    found: f64,
+    /// What the result lacks by that, as a share of the RMS exitance.
+    missing: f64,
+    /// The same with what may be in the wrong places.
     bias: f64,
     /// By how much a bounce shrinks the flux.
     decay: f64,
@@ -111,6 +122,9 @@ impl Chain {
             lines: 0.0,
             unshot_share: 1.0,
             to_come: 1.0,
+            foretold: 1.0,
+            found: 0.0,
+            missing: 1.0,
             bias: 1.0,
             decay: 1.0,
             plan: LinePlan::default(),
@@ -148,7 +162,7 @@ impl Chain {
             self.incident = vec![0.0; size];
         }
 
-        let flux_before = flux(problem, &self.sent);
+        let flux_before = flux(problem, &self.sent, |v| v.abs() as f64);
         let count = match self.phase {
             Phase::Fresh | Phase::Residual => 0,
             Phase::Shooting(n) | Phase::Regular(n) => n,
@@ -212,16 +226,22 @@ impl Chain {
                 let gain = cast as f64 / self.lines.max(1.0);
                 self.to_come *= self.decay;
                 self.unshot_share *= self.decay;
-                self.bias += (self.to_come - self.bias) * gain;
-                let gain = gain as f32;
+                self.foretold += (self.to_come - self.foretold) * gain;
                 self.incident
                     .par_iter_mut()
                     .zip(&self.fresh)
-                    .for_each(|(h, new)| *h += (new - *h) * gain);
+                    .for_each(|(h, new)| *h += (new - *h) * gain as f32);
+                let before = flux(problem, &self.sent, f64::from);
                 let fresh = &self.fresh;
                 fill(&mut self.sent, columns, |at, i, k| {
                     problem.emission[at] + rho(problem, i, k) * fresh[at] as f64
                 });
+                // If B is sent and B' found, (B' - B) d / (1 - d) is still to come to B'.
+                let net = flux(problem, &self.sent, f64::from) - before;
+                self.found += (net - self.found) * gain;
+                let missing = self.found.abs() * self.series();
+                self.missing = share(missing, self.rms_flux(problem));
+                self.bias = self.missing.max(MISPLACED * self.foretold);
                 self.phase = Phase::Regular(passes + 1);
             }
         }
@@ -231,7 +251,7 @@ impl Chain {
     /// Decides whether shooting goes on. `before` is the flux, lm, that the pass has sent.
     fn after_shot(&mut self, problem: &Problem<'_>, before: f64, passes: u32) {
         let columns = problem.columns();
-        let unshot = flux(problem, &self.sent);
+        let unshot = flux(problem, &self.sent, |v| v.abs() as f64);
         let emitted = absolute_flux(problem.area, problem.emission, columns);
         // Without emission of its own the scene emits what the sky gave first.
         let emitted = if emitted > 0.0 {
@@ -239,21 +259,14 @@ impl Chain {
         } else {
             unshot.max(before)
         };
-        let sums = sum_over(problem.len(), 2, |i, sum| {
-            let b: f64 = (0..columns)
-                .map(|k| weight(k) * self.exitance(problem, i, k))
-                .sum();
-            sum[0] += problem.area[i];
-            sum[1] += problem.area[i] * b * b;
-        });
         if passes > 0 {
-            self.decay = share(unshot, before).min(0.99);
+            let most = problem.reflectance.iter().copied().fold(0.0, f64::max);
+            self.decay = share(unshot, before).min(most);
         }
         self.unshot_share = share(unshot, emitted);
         // The geometric series of bounces, spread evenly, beside the RMS exitance.
-        let missing = unshot * self.decay / (1.0 - self.decay).max(0.01);
-        self.to_come = share(missing, (sums[0] * sums[1]).sqrt());
-        self.bias = self.to_come;
+        self.to_come = share(unshot * self.series(), self.rms_flux(problem));
+        (self.foretold, self.bias) = (self.to_come, self.to_come);
         self.phase = Phase::Shooting(passes);
         let done = passes > 0 && self.to_come < STILL_TO_COME;
         if done || passes >= MOST_SHOTS || unshot == 0.0 {
@@ -261,11 +274,29 @@ impl Chain {
         }
     }
 
+    /// What all further bounces bring, as a multiple of what the next one is sent.
+    fn series(&self) -> f64 {
+        self.decay / (1.0 - self.decay).max(1e-6)
+    }
+
+    /// Flux of the RMS exitance over all elements, lm.
+    fn rms_flux(&self, problem: &Problem<'_>) -> f64 {
+        let columns = problem.columns();
+        let sums = sum_over(problem.len(), 2, |i, sum| {
+            let b: f64 = (0..columns)
+                .map(|k| weight(k) * self.exitance(problem, i, k))
+                .sum();
+            sum[0] += problem.area[i];
+            sum[1] += problem.area[i] * b * b;
+        });
+        (sums[0] * sums[1]).sqrt()
+    }
+
     fn begin_regular(&mut self, problem: &Problem<'_>) {
         self.phase = Phase::Regular(0);
-        self.lines = 0.0;
+        (self.lines, self.found) = (0.0, 0.0);
         let columns = problem.columns();
-        let still = (self.decay / (1.0 - self.decay)).min(100.0);
+        let still = self.series();
         let (incident, last) = (&self.incident, &self.fresh);
         fill(&mut self.sent, columns, |at, i, k| {
             let to_come = last.get(at).map_or(0.0, |h| still * *h as f64);
@@ -297,12 +328,12 @@ fn fill(values: &mut [f32], columns: usize, value: impl Fn(usize, usize, usize) 
         });
 }
 
-/// Absolute photometric flux, lm.
-fn flux(problem: &Problem<'_>, exitance: &[f32]) -> f64 {
+/// Photometric flux of `value` of the exitance, lm.
+fn flux(problem: &Problem<'_>, exitance: &[f32], value: impl Fn(f32) -> f64 + Sync) -> f64 {
     let columns = problem.columns();
     sum_over(problem.len(), 1, |i, sum| {
         for (k, v) in exitance[i * columns..(i + 1) * columns].iter().enumerate() {
-            sum[0] += problem.area[i] * weight(k) * v.abs() as f64;
+            sum[0] += problem.area[i] * weight(k) * value(*v);
         }
     })[0]
 }
@@ -398,7 +429,11 @@ impl StochasticJacobi {
             chain.lines *= 0.5;
         }
         self.progress.relative_error = error.hypot((1.0 - kept) * bias);
-        self.progress.unshot_share = self.chains.iter().map(|c| c.unshot_share).sum::<f64>() / 2.0;
+        let left = |c: &Chain| match c.phase {
+            Phase::Regular(1..) => c.unshot_share.min(c.missing),
+            _ => c.unshot_share,
+        };
+        self.progress.unshot_share = self.chains.iter().map(left).sum::<f64>() / 2.0;
         self.progress.finished = self.progress.relative_error < F32_RESOLUTION;
     }
 }
@@ -509,6 +544,16 @@ impl Solver for StochasticJacobi {
             finished: false,
         };
         let shooting = stored.unshot.iter().any(|u| *u != 0.0);
+        // About what a bounce leaves.
+        let whole: f64 = problem.area.iter().sum();
+        let lit = |i: usize| {
+            (0..columns)
+                .map(|k| weight(k) * rho(problem, i, k))
+                .sum::<f64>()
+        };
+        let bands = (columns / 3).max(1) as f64;
+        let reflected: f64 = (0..problem.len()).map(|i| problem.area[i] * lit(i)).sum();
+        let mean_reflectance = share(reflected, whole * bands);
         for (number, chain) in self.chains.iter_mut().enumerate() {
             // Not the lines that the stored result was made of.
             *chain = Chain::new(hash([
@@ -535,7 +580,8 @@ impl Solver for StochasticJacobi {
             } else {
                 chain.sent = stored.exitance.clone();
                 chain.phase = Phase::Regular(0);
-                (chain.to_come, chain.bias) = (0.0, 0.0);
+                (chain.to_come, chain.foretold, chain.bias) = (0.0, 0.0, 0.0);
+                chain.decay = mean_reflectance;
             }
         }
         self.stored = Some(Stored {

@@ -13,6 +13,10 @@ use std::fmt::Write;
 /// Version of the layout of `report.json`; rises when a field changes its meaning or goes.
 pub const FORMAT: u32 = 1;
 
+/// Names of the sides of a surface.
+const FRONT: &str = "front";
+const BACK: &str = "back";
+
 /// Most surfaces in the table for people.
 const TABLE_ROWS: usize = 15;
 
@@ -263,9 +267,9 @@ pub fn surface_statistics(scene: &Scene, mesh: &LitMesh) -> Vec<SurfaceLight> {
             surface: part.surface.0,
             name: scene.surfaces[part.surface.index()].name.clone(),
             side: if part.side == Side::Front {
-                "front"
+                FRONT
             } else {
-                "back"
+                BACK
             }
             .into(),
             area_m2: area,
@@ -304,15 +308,27 @@ impl Report {
 
 /// The short table that ends `luxel light`: surfaces by area, energy balance, accuracy, time.
 ///
-/// Surfaces of one name are one row.
+/// Surfaces of one name are one row for their fronts and one for their backs; backs that no light
+/// reaches, as of walls seen from outside, are left out.
 pub fn table(report: &Report) -> String {
     let mut rows: Vec<SurfaceLight> = Vec::new();
     let mut by_name: Vec<&SurfaceLight> = report.surfaces.iter().collect();
-    by_name.sort_by(|a, b| a.name.cmp(&b.name));
-    for group in by_name.chunk_by(|a, b| a.name == b.name) {
+    let key = |s: &SurfaceLight| (s.name.clone(), s.side == BACK);
+    by_name.sort_by_cached_key(|s| key(s));
+    for group in by_name.chunk_by(|a, b| key(a) == key(b)) {
         let area: f64 = group.iter().map(|s| s.area_m2).sum();
+        let max_lux = group.iter().map(|s| s.max_lux).fold(0.0, f64::max);
+        let name = &group[0].name;
+        let is_back = group[0].side == BACK;
+        if is_back && max_lux == 0.0 {
+            continue;
+        }
         rows.push(SurfaceLight {
-            name: group[0].name.clone(),
+            name: if is_back {
+                format!("{name} (back)")
+            } else {
+                name.clone()
+            },
             area_m2: area,
             mean_lux: group.iter().map(|s| s.mean_lux * s.area_m2).sum::<f64>()
                 / area.max(f64::MIN_POSITIVE),
@@ -320,7 +336,7 @@ pub fn table(report: &Report) -> String {
                 .iter()
                 .map(|s| s.min_lux)
                 .fold(f64::INFINITY, f64::min),
-            max_lux: group.iter().map(|s| s.max_lux).fold(0.0, f64::max),
+            max_lux,
             ..SurfaceLight::default()
         });
     }
@@ -386,6 +402,15 @@ pub fn table(report: &Report) -> String {
         "accuracy  {reached} reached, {} asked{state}",
         percent(a.asked)
     ));
+    if f.emitted_lm == 0.0 {
+        line("light     none: the scene needs some (--lamp, --emit or --sky)".into());
+    }
+    if !report.warnings.is_empty() {
+        let count = report.warnings.len();
+        line(format!(
+            "warnings  {count}, told by luxel inspect and report.json"
+        ));
+    }
     let wall: f64 = report.stages.iter().map(|s| s.wall_s).sum();
     let stages: Vec<String> = report
         .stages
@@ -468,7 +493,7 @@ mod tests {
         let surface = |k: usize| SurfaceLight {
             surface: k as u32,
             name: format!("wall {k}"),
-            side: "front".into(),
+            side: FRONT.into(),
             area_m2: (k + 1) as f64,
             mean_lux: 123.4,
             min_lux: 0.5,
@@ -513,15 +538,44 @@ mod tests {
     }
 
     #[test]
-    fn sides_of_one_name_are_one_row() {
-        let mut r = report(2);
-        r.surfaces[1].name = "wall 0".into();
+    fn each_side_of_a_name_is_one_row() {
+        let mut r = report(4);
+        for surface in &mut r.surfaces {
+            surface.name = "wall".into();
+        }
         r.surfaces[0].mean_lux = 100.0;
         r.surfaces[1].mean_lux = 400.0;
+        r.surfaces[2].side = BACK.into();
+        r.surfaces[2].mean_lux = 7.77;
+        r.surfaces[3].side = BACK.into();
+        r.surfaces[3].mean_lux = 7.77;
+        let text = table(&r);
+        let mut rows = text.lines().skip(1);
+        assert!(
+            rows.next()
+                .is_some_and(|l| l.contains("wall (back)") && l.contains("7.77"))
+        );
         // (1 * 100 + 2 * 400) / 3 m².
-        assert!(table(&r).lines().nth(1).expect("a row").contains("300"));
+        assert!(rows.next().is_some_and(|l| l.contains("300")), "{text}");
+        for surface in &mut r.surfaces[2..] {
+            surface.max_lux = 0.0;
+        }
+        assert!(!table(&r).contains("back"), "dark backs are left out");
         r.surfaces[0].name = "evil\u{1b}[2J name".into();
         assert!(!table(&r).contains('\u{1b}'));
+    }
+
+    #[test]
+    fn the_table_says_what_is_missing_or_odd() {
+        let mut r = report(1);
+        assert!(!table(&r).contains("warnings") && !table(&r).contains("--lamp"));
+        r.warnings = vec![Oddity::default(); 2];
+        r.energy = Energy::from_groups(Vec::new());
+        let text = table(&r);
+        assert!(
+            text.contains("warnings  2, ") && text.contains("--lamp"),
+            "{text}"
+        );
     }
 
     #[test]
