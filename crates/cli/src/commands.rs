@@ -52,7 +52,8 @@ fn threads(common: &Common) -> Result<(), String> {
 fn stop_on_interrupt() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     let seen = stop.clone();
-    // SIGTERM and SIGHUP, too. Without a handler Ctrl-C ends the program as usual: nothing is lost but the last stretch.
+    // Ctrl-C, SIGTERM and SIGHUP. Without a handler they end the program as usual: nothing is lost
+    // but the last stretch.
     let _ = ctrlc::set_handler(move || {
         if seen.swap(true, Ordering::SeqCst) {
             std::process::exit(130);

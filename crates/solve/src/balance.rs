@@ -19,7 +19,7 @@ use crate::sweep::for_each_row;
 use luxel_core::layers::BANDS;
 use luxel_core::{ElementId, Solution};
 use luxel_transport::sampling::hash;
-use luxel_transport::{Arrival, LocalLines};
+use luxel_transport::{Arrival, LocalLines, of_each};
 use rayon::prelude::*;
 
 /// Elements of one task.
@@ -210,11 +210,8 @@ fn by_lines(
                 .collect();
             let mut arrivals = Vec::new();
             local.cast_each(&runs, seed, &mut arrivals);
-            let mut rest = &arrivals[..];
-            for (element, samples) in runs {
+            for (element, own) in of_each(&runs, &arrivals) {
                 let i = element.index();
-                let own;
-                (own, rest) = rest.split_at(samples.len());
                 let each = 1.0 / own.len() as f64;
                 let load = load(problem, solution, i);
                 let (mut outside, mut black) = (0u32, 0u32);

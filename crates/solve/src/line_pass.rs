@@ -24,11 +24,11 @@
 //! variates); [Veach95] (balance heuristic).
 
 use crate::contract::Problem;
-use crate::photometry::{sum_over, weight};
+use crate::photometry::{reflectance, sum_over, weight};
 use luxel_core::ElementId;
 use luxel_core::layers::BANDS;
 use luxel_transport::sampling::hash;
-use luxel_transport::{Arrival, LocalLines};
+use luxel_transport::{Arrival, LocalLines, of_each};
 use rayon::prelude::*;
 
 /// Lines of one task. Independent of the thread count, or bits would depend on it.
@@ -108,12 +108,8 @@ impl LinePlan {
                 .map(|k| weight(k) * (row[k] - level[k]).abs() as f64)
                 .sum()
         };
-        let receives = |i: usize| -> f64 {
-            let rho: f64 = (0..BANDS)
-                .map(|b| weight(b) * problem.reflectance[BANDS * i + b])
-                .sum();
-            problem.area[i].sqrt() * rho.max(0.1)
-        };
+        let receives =
+            |i: usize| -> f64 { problem.area[i].sqrt() * reflectance(problem, i).max(0.1) };
 
         let row = |i: usize| &sent.exitance[i * columns..(i + 1) * columns];
         let whole = sum_over(n, groups + 1, |i, sum| {
@@ -250,10 +246,7 @@ impl LinePlan {
                 let mut arrivals = Vec::new();
                 lines.cast_each(&runs, seed, &mut arrivals);
                 let mut pairs = Vec::with_capacity(arrivals.len());
-                let mut rest = &arrivals[..];
-                for (ElementId(i), samples) in runs {
-                    let own;
-                    (own, rest) = rest.split_at(samples.len());
+                for (ElementId(i), own) in of_each(&runs, &arrivals) {
                     let at = (i as usize - first) * columns;
                     let sum = &mut sums[at..at + columns];
                     let level = sent.level.of(i as usize, columns);
@@ -270,8 +263,7 @@ impl LinePlan {
                         }
                     }
                 }
-                let cast = arrivals.len() as u64;
-                Binned::new(&pairs, shift, bins, cast)
+                Binned::new(&pairs, shift, bins, arrivals.len() as u64)
             })
             .collect();
 

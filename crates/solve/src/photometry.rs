@@ -31,6 +31,12 @@ pub(crate) fn absolute(row: &[f64]) -> f64 {
         .sum()
 }
 
+/// Photometric reflectance of an element.
+#[inline]
+pub(crate) fn reflectance(problem: &Problem<'_>, element: usize) -> f64 {
+    luminance(&problem.reflectance[BANDS * element..BANDS * (element + 1)])
+}
+
 /// Elements of one partial sum. Independent of the thread count, or bits would depend on it.
 const SUM_CHUNK: usize = 4096;
 

@@ -22,7 +22,7 @@
 use crate::contract::{Problem, Progress, Solver, Transport};
 use crate::kinds::SolverSettings;
 use crate::line_pass::{Level, LinePlan, Sent};
-use crate::photometry::{F32_RESOLUTION, absolute_flux, rho, share, sum_over, weight};
+use crate::photometry::{F32_RESOLUTION, absolute_flux, reflectance, rho, share, sum_over, weight};
 use luxel_core::{FrontChange, Solution};
 use luxel_transport::LocalLines;
 use luxel_transport::sampling::hash;
@@ -162,7 +162,12 @@ impl Chain {
             self.incident = vec![0.0; size];
         }
 
-        let flux_before = flux(problem, &self.sent, |v| v.abs() as f64);
+        // Shots are measured without their sign, a whole solution with it.
+        let measure: fn(f32) -> f64 = match self.phase {
+            Phase::Regular(_) => f64::from,
+            _ => unsigned,
+        };
+        let flux_before = flux(problem, &self.sent, measure);
         let count = match self.phase {
             Phase::Fresh | Phase::Residual => 0,
             Phase::Shooting(n) | Phase::Regular(n) => n,
@@ -231,13 +236,12 @@ impl Chain {
                     .par_iter_mut()
                     .zip(&self.fresh)
                     .for_each(|(h, new)| *h += (new - *h) * gain as f32);
-                let before = flux(problem, &self.sent, f64::from);
                 let fresh = &self.fresh;
                 fill(&mut self.sent, columns, |at, i, k| {
                     problem.emission[at] + rho(problem, i, k) * fresh[at] as f64
                 });
                 // If B is sent and B' found, (B' - B) d / (1 - d) is still to come to B'.
-                let net = flux(problem, &self.sent, f64::from) - before;
+                let net = flux(problem, &self.sent, measure) - flux_before;
                 self.found += (net - self.found) * gain;
                 let missing = self.found.abs() * self.series();
                 self.missing = share(missing, self.rms_flux(problem));
@@ -251,7 +255,7 @@ impl Chain {
     /// Decides whether shooting goes on. `before` is the flux, lm, that the pass has sent.
     fn after_shot(&mut self, problem: &Problem<'_>, before: f64, passes: u32) {
         let columns = problem.columns();
-        let unshot = flux(problem, &self.sent, |v| v.abs() as f64);
+        let unshot = flux(problem, &self.sent, unsigned);
         let emitted = absolute_flux(problem.area, problem.emission, columns);
         // Without emission of its own the scene emits what the sky gave first.
         let emitted = if emitted > 0.0 {
@@ -328,12 +332,16 @@ fn fill(values: &mut [f32], columns: usize, value: impl Fn(usize, usize, usize) 
         });
 }
 
-/// Photometric flux of `value` of the exitance, lm.
-fn flux(problem: &Problem<'_>, exitance: &[f32], value: impl Fn(f32) -> f64 + Sync) -> f64 {
+fn unsigned(exitance: f32) -> f64 {
+    exitance.abs().into()
+}
+
+/// Photometric flux of what `measure` makes of the exitance, lm.
+fn flux(problem: &Problem<'_>, exitance: &[f32], measure: fn(f32) -> f64) -> f64 {
     let columns = problem.columns();
     sum_over(problem.len(), 1, |i, sum| {
         for (k, v) in exitance[i * columns..(i + 1) * columns].iter().enumerate() {
-            sum[0] += problem.area[i] * weight(k) * value(*v);
+            sum[0] += problem.area[i] * weight(k) * measure(*v);
         }
     })[0]
 }
@@ -545,15 +553,11 @@ impl Solver for StochasticJacobi {
         };
         let shooting = stored.unshot.iter().any(|u| *u != 0.0);
         // About what a bounce leaves.
-        let whole: f64 = problem.area.iter().sum();
-        let lit = |i: usize| {
-            (0..columns)
-                .map(|k| weight(k) * rho(problem, i, k))
-                .sum::<f64>()
-        };
-        let bands = (columns / 3).max(1) as f64;
-        let reflected: f64 = (0..problem.len()).map(|i| problem.area[i] * lit(i)).sum();
-        let mean_reflectance = share(reflected, whole * bands);
+        let sums = sum_over(problem.len(), 2, |i, sum| {
+            sum[0] += problem.area[i] * reflectance(problem, i);
+            sum[1] += problem.area[i];
+        });
+        let mean_reflectance = share(sums[0], sums[1]);
         for (number, chain) in self.chains.iter_mut().enumerate() {
             // Not the lines that the stored result was made of.
             *chain = Chain::new(hash([

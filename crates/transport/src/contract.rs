@@ -138,6 +138,18 @@ impl Arrival {
     }
 }
 
+/// Elements with the arrivals of their lines, from one [`LocalLines::cast_each`].
+pub fn of_each<'a>(
+    runs: &'a [(ElementId, Range<u32>)],
+    mut arrivals: &'a [Arrival],
+) -> impl Iterator<Item = (ElementId, &'a [Arrival])> {
+    runs.iter().map(move |(element, samples)| {
+        let own;
+        (own, arrivals) = arrivals.split_at(samples.len());
+        (*element, own)
+    })
+}
+
 /// Local lines: cosine-distributed lines from uniform points of an element, so that the share
 /// of lines from i that arrive on j tends to F_ij [Bekaert99].
 pub trait LocalLines: Sync + Send {

@@ -28,7 +28,7 @@ mod traverse;
 
 pub use bvh::{Bvh, Kernel};
 pub use constant::Constant;
-pub use contract::{Arrival, FactorRow, FormFactors, Hit, LocalLines, Ray, RayCaster};
+pub use contract::{Arrival, FactorRow, FormFactors, Hit, LocalLines, Ray, RayCaster, of_each};
 pub use hemicube::Hemicube;
 pub use lines::{FactorLines, FrontLines};
 pub use matrix::{Defects, Matrix, MatrixSettings};
