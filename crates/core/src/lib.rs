@@ -6,6 +6,7 @@
 
 pub mod buckets;
 pub mod element;
+pub mod facets;
 pub mod front;
 pub mod hierarchy;
 pub mod layers;
@@ -19,6 +20,7 @@ pub mod warning;
 
 pub use buckets::Buckets;
 pub use element::{ElementId, FinishId, GroupId, PatchId, SurfaceId, TextureId};
+pub use facets::{Facet, FacetPart, Facets, SparseRows};
 pub use front::{Front, FrontChange, Patch, RefinementWish, Shape, Side};
 pub use glam;
 pub use glam::{DVec3, Vec2, Vec3};
