@@ -8,6 +8,7 @@
 pub mod builder;
 pub mod cornell;
 pub mod corridor;
+pub mod facets;
 pub mod furnace;
 pub mod furniture;
 pub mod gallery;
@@ -19,6 +20,7 @@ pub mod write_glb;
 pub use builder::Builder;
 pub use cornell::cornell;
 pub use corridor::corridor;
+pub use facets::{city_block, floating_boxes};
 pub use furnace::{closed_box, furnace, l_shaped_furnace};
 pub use gallery::gallery;
 pub use office::office;

@@ -7,6 +7,7 @@ pub mod closed_forms;
 pub mod constant;
 pub mod contract;
 pub(crate) mod dilogarithm;
+pub mod facets;
 pub mod hemicube;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;

@@ -1,0 +1,259 @@
+//! Convex polygons of few corners in the plane of a part, without heap: what is cut a million
+//! times.
+
+use luxel_core::DVec3;
+use luxel_core::glam::DVec2;
+
+/// Most corners of a [`Ring`].
+pub(crate) const MOST: usize = 20;
+
+/// A plane with axes: the place of a part.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Chart {
+    pub(crate) origin: DVec3,
+    pub(crate) u: DVec3,
+    pub(crate) v: DVec3,
+    pub(crate) normal: DVec3,
+}
+
+impl Chart {
+    /// Around the first corner of a polygon.
+    pub(crate) fn of(corners: &[DVec3], normal: DVec3) -> Chart {
+        let edge = corners[1] - corners[0];
+        let u = (edge - normal * normal.dot(edge)).normalize_or_zero();
+        Chart {
+            origin: corners[0],
+            u,
+            v: normal.cross(u),
+            normal,
+        }
+    }
+
+    #[inline]
+    pub(crate) fn flat(&self, p: DVec3) -> DVec2 {
+        let d = p - self.origin;
+        DVec2::new(d.dot(self.u), d.dot(self.v))
+    }
+
+    #[inline]
+    pub(crate) fn space(&self, p: DVec2) -> DVec3 {
+        self.origin + self.u * p.x + self.v * p.y
+    }
+
+    pub(crate) fn ring(&self, corners: &[DVec3]) -> Ring {
+        let mut ring = Ring::EMPTY;
+        for &c in corners {
+            ring.push(self.flat(c));
+        }
+        ring
+    }
+
+    /// Where the plane with this normal through `at` meets this one.
+    #[inline]
+    pub(crate) fn line(&self, normal: DVec3, at: DVec3) -> Line {
+        Line {
+            offset: normal.dot(self.origin - at),
+            slope: DVec2::new(normal.dot(self.u), normal.dot(self.v)),
+        }
+    }
+}
+
+/// A linear function in a plane.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Line {
+    pub(crate) offset: f64,
+    pub(crate) slope: DVec2,
+}
+
+impl Line {
+    #[inline]
+    pub(crate) fn at(&self, p: DVec2) -> f64 {
+        self.offset + self.slope.dot(p)
+    }
+
+    #[inline]
+    pub(crate) fn negated(self) -> Line {
+        Line {
+            offset: -self.offset,
+            slope: -self.slope,
+        }
+    }
+}
+
+/// Corners of a convex polygon, counter-clockwise.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ring {
+    corners: [DVec2; MOST],
+    len: usize,
+}
+
+impl Ring {
+    /// No corner, no area.
+    pub(crate) const EMPTY: Ring = Ring {
+        corners: [DVec2::ZERO; MOST],
+        len: 0,
+    };
+
+    #[inline]
+    fn push(&mut self, corner: DVec2) {
+        // Each cut adds at most one corner; beyond the bound the polygon loses a corner that is
+        // within rounding of its neighbours anyway.
+        if self.len < MOST {
+            self.corners[self.len] = corner;
+            self.len += 1;
+        }
+    }
+
+    #[inline]
+    pub(crate) fn corners(&self) -> &[DVec2] {
+        &self.corners[..self.len]
+    }
+
+    #[inline]
+    pub(crate) fn is_empty(&self) -> bool {
+        self.len < 3
+    }
+
+    pub(crate) fn middle(&self) -> DVec2 {
+        self.corners().iter().copied().sum::<DVec2>() / self.len.max(1) as f64
+    }
+
+    pub(crate) fn area(&self) -> f64 {
+        self.moments().0
+    }
+
+    /// Area and centroid.
+    #[inline]
+    pub(crate) fn moments(&self) -> (f64, DVec2) {
+        let v = self.corners();
+        if v.len() < 3 {
+            return (0.0, DVec2::ZERO);
+        }
+        let o = v[0];
+        let (mut twice, mut sum) = (0.0, DVec2::ZERO);
+        let mut a = v[1] - o;
+        for &c in &v[2..] {
+            let b = c - o;
+            let w = a.perp_dot(b);
+            twice += w;
+            sum += (a + b) * w;
+            a = b;
+        }
+        if twice <= 0.0 {
+            return (0.0, o);
+        }
+        (0.5 * twice, o + sum / (3.0 * twice))
+    }
+
+    /// Takes away what is where the line is below zero.
+    #[inline]
+    pub(crate) fn cut(&mut self, line: Line) {
+        let (mut heights, mut low, mut high) = ([0.0; MOST], f64::INFINITY, f64::NEG_INFINITY);
+        for k in 0..self.len {
+            let h = line.at(self.corners[k]);
+            heights[k] = h;
+            low = low.min(h);
+            high = high.max(h);
+        }
+        if low >= 0.0 {
+            return;
+        }
+        if high <= 0.0 {
+            self.len = 0;
+            return;
+        }
+        let whole = self.corners;
+        let n = self.len;
+        self.len = 0;
+        let mut last = n - 1;
+        for k in 0..n {
+            let (hp, hq) = (heights[last], heights[k]);
+            if (hp > 0.0 && hq < 0.0) || (hp < 0.0 && hq > 0.0) {
+                let (p, q) = (whole[last], whole[k]);
+                self.push(p + (q - p) * (hp / (hp - hq)));
+            }
+            if hq >= 0.0 {
+                self.push(whole[k]);
+            }
+            last = k;
+        }
+    }
+
+    /// What is where the line is above zero, and what is where it is below.
+    pub(crate) fn split(&self, line: Line) -> (Ring, Ring) {
+        let (mut above, mut below) = (*self, *self);
+        above.cut(line);
+        below.cut(line.negated());
+        (above, below)
+    }
+
+    /// Pushes the parts of this ring outside of `other`.
+    pub(crate) fn outside(mut self, other: &Ring, rest: &mut Vec<Ring>) {
+        let v = other.corners();
+        for k in 0..v.len() {
+            let (a, along) = (v[k], v[(k + 1) % v.len()] - v[k]);
+            // Left of a counter-clockwise edge is inside.
+            let slope = along.perp();
+            let line = Line {
+                offset: -slope.dot(a),
+                slope,
+            };
+            let (within, without) = self.split(line);
+            if !without.is_empty() {
+                rest.push(without);
+            }
+            self = within;
+            if self.is_empty() {
+                return;
+            }
+        }
+    }
+
+    /// Two halves, cut through the middle square to the longest edge.
+    pub(crate) fn halves(&self) -> (Ring, Ring) {
+        let v = self.corners();
+        let mut slope = DVec2::ZERO;
+        for k in 0..v.len() {
+            let edge = v[(k + 1) % v.len()] - v[k];
+            if edge.length_squared() > slope.length_squared() {
+                slope = edge;
+            }
+        }
+        self.split(Line {
+            offset: -slope.dot(self.middle()),
+            slope,
+        })
+    }
+
+    /// Points and areas of a rule that is exact for cubic functions on parallelograms and for
+    /// quadratic ones on triangles; other polygons are cut into those.
+    #[inline]
+    pub(crate) fn nodes(&self, mut each: impl FnMut(DVec2, f64)) {
+        let v = self.corners();
+        let mut k = 1;
+        while k + 1 < v.len() {
+            if k + 2 < v.len() {
+                let (a, b, c, d) = (v[0], v[k], v[k + 1], v[k + 2]);
+                let (u, w, skew) = (b - a, d - a, (a - b) + (c - d));
+                for s in GAUSS {
+                    for t in GAUSS {
+                        let jacobian = (u + skew * t).perp_dot(w + skew * s).abs();
+                        each(a + u * s + w * t + skew * (s * t), 0.25 * jacobian);
+                    }
+                }
+                k += 2;
+            } else {
+                let (a, b, c) = (v[0], v[k], v[k + 1]);
+                let third = (b - a).perp_dot(c - a).abs() / 6.0;
+                let sum = (a + b + c) / 6.0;
+                for corner in [a, b, c] {
+                    each(sum + corner * 0.5, third);
+                }
+                k += 1;
+            }
+        }
+    }
+}
+
+/// Gauss's two nodes on 0..1.
+pub(crate) const GAUSS: [f64; 2] = [0.211_324_865_405_187_13, 0.788_675_134_594_812_9];
