@@ -44,12 +44,14 @@ impl Plane {
     }
 
     pub(crate) fn heights(&self, points: &[DVec3]) -> (f64, f64) {
-        points
-            .iter()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &p| {
-                let h = self.height(p);
-                (low.min(h), high.max(h))
-            })
+        let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+        for &p in points {
+            let h = self.height(p);
+            // One instruction each, which `min` and `max` are not for the sake of NaN.
+            low = if h < low { h } else { low };
+            high = if h > high { h } else { high };
+        }
+        (low, high)
     }
 }
 

@@ -5,7 +5,7 @@ use luxel_core::DVec3;
 use luxel_core::glam::DVec2;
 
 /// Most corners of a [`Ring`].
-pub(crate) const MOST: usize = 20;
+pub(crate) const MOST: usize = 16;
 
 /// A plane with axes: the place of a part.
 #[derive(Clone, Copy, Debug)]
@@ -145,37 +145,48 @@ impl Ring {
         (0.5 * twice, o + sum / (3.0 * twice))
     }
 
+    /// Replaces this by another; copies only the corners that are there.
+    #[inline]
+    pub(crate) fn set(&mut self, other: &Ring) {
+        self.len = other.len;
+        for k in 0..other.len {
+            self.corners[k] = other.corners[k];
+        }
+    }
+
     /// Takes away what is where the line is below zero.
     #[inline]
     pub(crate) fn cut(&mut self, line: Line) {
-        let (mut heights, mut low, mut high) = ([0.0; MOST], f64::INFINITY, f64::NEG_INFINITY);
-        for k in 0..self.len {
-            let h = line.at(self.corners[k]);
-            heights[k] = h;
-            low = low.min(h);
-            high = high.max(h);
+        let n = self.len;
+        // Most lines leave all or nothing.
+        let mut below = 0_u32;
+        for k in 0..n {
+            below |= u32::from(line.at(self.corners[k]) < 0.0) << k;
         }
-        if low >= 0.0 {
+        if below == 0 {
             return;
         }
-        if high <= 0.0 {
+        if below.count_ones() as usize == n {
             self.len = 0;
             return;
         }
-        let whole = self.corners;
-        let n = self.len;
+        let mut whole = [DVec2::ZERO; MOST];
+        whole[..n].copy_from_slice(&self.corners[..n]);
         self.len = 0;
-        let mut last = n - 1;
-        for k in 0..n {
-            let (hp, hq) = (heights[last], heights[k]);
+        let mut p = whole[n - 1];
+        let mut hp = line.at(p);
+        for &q in &whole[..n] {
+            let hq = line.at(q);
             if (hp > 0.0 && hq < 0.0) || (hp < 0.0 && hq > 0.0) {
-                let (p, q) = (whole[last], whole[k]);
                 self.push(p + (q - p) * (hp / (hp - hq)));
             }
             if hq >= 0.0 {
-                self.push(whole[k]);
+                self.push(q);
             }
-            last = k;
+            (p, hp) = (q, hq);
+        }
+        if self.len < 3 {
+            self.len = 0;
         }
     }
 

@@ -27,6 +27,7 @@ use luxel_core::{DVec3, Polygon};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Critical lines along which a sender is cut, at most.
 const MOST_CUTS: usize = 64;
@@ -36,8 +37,15 @@ const MOST_CELLS: usize = 400;
 const MOST_POINTS: u64 = 20_000;
 /// Overlapping shadows are taken apart into at most so many pieces at one point.
 const MOST_PIECES: usize = 64;
-/// Receivers farther than this many times their radius count by the kernel at their middle.
-const FAR: f64 = 12.0;
+/// Edges and faces that matter, of all blockers of a pair.
+#[derive(Default)]
+struct Outlines {
+    /// Edges, clockwise around the line of sight from the sender.
+    edges: Vec<(DVec3, DVec3)>,
+    /// Faces that look at the sender and do not have all of the receiver behind them, as planes
+    /// with the hidden side in front.
+    faces: Vec<Plane>,
+}
 
 /// A value in m² and how far off it may be.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -56,6 +64,7 @@ pub(crate) struct Scratch {
     rest: Vec<Ring>,
     cuts: Vec<Line>,
     casts: Vec<Cast>,
+    outlines: Outlines,
     /// Pairs that came to `between`, pieces, points: what work was done.
     pub(crate) counts: [u64; 3],
 }
@@ -71,6 +80,11 @@ pub(crate) struct Asked {
     pub(crate) near_m: f64,
     /// Kinks that close to an end of a piece, as a share of its area, are left in it.
     pub(crate) sliver: f64,
+    /// Receivers farther than this many times their radius count by the kernel at the middle of
+    /// what is seen of them.
+    pub(crate) far: f64,
+    /// Pieces of at most this share of the sender's area get one node.
+    pub(crate) small: f64,
 }
 
 /// Exchange area past `blockers`. Both polygons lie wholly in front of each other.
@@ -97,14 +111,14 @@ pub(crate) fn between(
     };
     let (s, r) = (&sender.vertices, &receiver.vertices);
     scratch.casts.clear();
+    scratch.outlines.edges.clear();
+    scratch.outlines.faces.clear();
     for blocker in blockers {
-        match Cast::new(blocker, s, r, asked.near_m) {
+        match Cast::new(blocker, s, r, asked.near_m, &mut scratch.outlines) {
             Standing::Aside => {}
             Standing::Everywhere => return Exchange::default(),
             Standing::Between(cast) => {
-                if cast.edges.len() < 2
-                    || !kept_apart(blocker, s, r, asked.near_m)
-                {
+                if cast.edges.len() < 2 || !kept_apart(blocker, s, r, asked.near_m) {
                     scratch.casts.push(cast);
                 }
             }
@@ -117,20 +131,25 @@ pub(crate) fn between(
     let pair = Pair {
         from: Chart::of(s, sender.normal()),
         to: Chart::of(r, receiver.normal()),
-        far: sender.centre().distance(receiver.centre()) - rf.min(rt) > FAR * reach,
+        far: sender.centre().distance(receiver.centre()) - rf.min(rt) > asked.far * reach,
     };
     let start = pair.from.ring(s);
     let whole = pair.to.ring(r);
     let casts = std::mem::take(&mut scratch.casts);
-    critical_lines(&pair, &start, r, &casts, asked.near_m, &mut scratch.cuts);
+    let outlines = std::mem::take(&mut scratch.outlines);
+    let (area, centroid) = whole.moments();
     let view = View {
         pair: &pair,
         receiver: &whole,
-        receiver_area: whole.area(),
+        receiver_area: area,
+        receiver_middle: pair.to.space(centroid),
         casts: &casts,
+        outlines: &outlines,
     };
+    critical_lines(&view, s, &start, r, asked.near_m, &mut scratch.cuts);
     let found = by_pieces(&view, start, asked, scratch);
     scratch.casts = casts;
+    scratch.outlines = outlines;
     found
 }
 
@@ -144,13 +163,12 @@ struct Pair {
 
 /// A blocker as one pair meets it.
 struct Cast {
-    /// Edges of the outline that matter, clockwise around the line of sight from the sender.
-    edges: Vec<(DVec3, DVec3)>,
-    /// Faces that look at the sender and do not have all of the receiver behind them, as planes
-    /// with the hidden side in front.
-    faces: Vec<Plane>,
+    /// Run of the outlines' edges.
+    edges: Range<usize>,
+    /// Run of the outlines' faces.
+    faces: Range<usize>,
     /// All of it, if its outline is not the same from everywhere on the sender.
-    turning: Option<Blocker>,
+    turning: Option<Box<Blocker>>,
 }
 
 enum Standing {
@@ -160,12 +178,14 @@ enum Standing {
 }
 
 impl Cast {
-    fn new(blocker: &Blocker, s: &[DVec3], r: &[DVec3], near_m: f64) -> Standing {
-        let mut cast = Cast {
-            edges: Vec::new(),
-            faces: Vec::new(),
-            turning: None,
-        };
+    fn new(
+        blocker: &Blocker,
+        s: &[DVec3],
+        r: &[DVec3],
+        near_m: f64,
+        outlines: &mut Outlines,
+    ) -> Standing {
+        let start = (outlines.edges.len(), outlines.faces.len());
         let single = !blocker.is_solid();
         // 1: looks at all of the sender; -1: at none of it.
         let mut looks = [0_i8; 16];
@@ -185,21 +205,34 @@ impl Cast {
                 any = true;
                 let sense = f64::from(looks[k]);
                 let (low, high) = face.heights(r);
-                let (low, high) = if sense > 0.0 { (low, high) } else { (-high, -low) };
+                let (low, high) = if sense > 0.0 {
+                    (low, high)
+                } else {
+                    (-high, -low)
+                };
                 if low >= -near_m {
+                    outlines.edges.truncate(start.0);
+                    outlines.faces.truncate(start.1);
                     return Standing::Aside;
                 }
                 if high > near_m {
-                    cast.faces.push(Plane {
+                    outlines.faces.push(Plane {
                         normal: -sense * face.normal,
                         offset: -sense * face.offset,
                     });
                 }
             }
         }
+        let between = |outlines: &Outlines, turning| {
+            Standing::Between(Cast {
+                edges: start.0..outlines.edges.len(),
+                faces: start.1..outlines.faces.len(),
+                turning,
+            })
+        };
         if turns {
-            cast.turning = Some(blocker.clone());
-            return Standing::Between(cast);
+            outlines.faces.truncate(start.1);
+            return between(outlines, Some(Box::new(blocker.clone())));
         }
         if !any {
             return Standing::Aside;
@@ -214,60 +247,67 @@ impl Cast {
                 }
                 one > 0
             };
-            let (a, b) = if front { (edge.a, edge.b) } else { (edge.b, edge.a) };
+            let (a, b) = if front {
+                (edge.a, edge.b)
+            } else {
+                (edge.b, edge.a)
+            };
             let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            let mut least = f64::INFINITY;
             for &x in s {
                 let inward = (b - x).cross(a - x);
                 for &q in r {
                     let volume = inward.dot(q - x);
-                    low = low.min(volume);
-                    high = high.max(volume);
+                    low = if volume < low { volume } else { low };
+                    high = if volume > high { volume } else { high };
                 }
-                least = least.min(inward.length());
             }
-            // A volume of a hair's breadth is none.
-            let none = near_m * least;
-            if high <= none {
+            // A volume of a hair's breadth is none; how much that is is asked only in doubt.
+            let breadth = || {
+                s.iter()
+                    .map(|&x| (b - x).cross(a - x).length())
+                    .fold(f64::INFINITY, f64::min)
+            };
+            let doubt = 1e-6 * (high - low);
+            if high <= 0.0 || (high < doubt && high <= near_m * breadth()) {
+                outlines.edges.truncate(start.0);
+                outlines.faces.truncate(start.1);
                 return Standing::Aside;
             }
-            if low < -none {
-                cast.edges.push((a, b));
+            if low < 0.0 && (-low > doubt || -low > near_m * breadth()) {
+                outlines.edges.push((a, b));
             }
         }
-        if cast.edges.is_empty() && cast.faces.is_empty() {
+        if start == (outlines.edges.len(), outlines.faces.len()) {
             Standing::Everywhere
         } else {
-            Standing::Between(cast)
+            between(outlines, None)
         }
     }
 
     /// What it hides of `receiver` from `point`.
     #[inline]
-    fn shadow(&self, point: DVec3, chart: &Chart, receiver: &Ring) -> Ring {
+    fn shadow(&self, point: DVec3, view: &View<'_>, dark: &mut Ring) {
+        let chart = &view.pair.to;
+        dark.set(view.receiver);
         if let Some(blocker) = &self.turning {
-            return turning_shadow(blocker, point, chart, receiver);
+            return turning_shadow(blocker, point, chart, dark);
         }
-        let mut dark = *receiver;
-        for &(a, b) in &self.edges {
+        for &(a, b) in &view.outlines.edges[self.edges.clone()] {
             let inward = (b - point).cross(a - point);
             dark.cut(chart.line(inward, point));
             if dark.is_empty() {
-                return dark;
+                return;
             }
         }
-        for face in &self.faces {
+        for face in &view.outlines.faces[self.faces.clone()] {
             dark.cut(chart.line(face.normal, face.normal * face.offset));
         }
-        dark
     }
 }
 
 /// The shadow of a blocker whose outline is found anew at each point.
-fn turning_shadow(blocker: &Blocker, point: DVec3, chart: &Chart, receiver: &Ring) -> Ring {
-    let mut dark = *receiver;
+fn turning_shadow(blocker: &Blocker, point: DVec3, chart: &Chart, dark: &mut Ring) {
     let mut looks = [0.0; 16];
-    let mut any = false;
     let single = !blocker.is_solid();
     for (k, face) in blocker.faces.iter().enumerate() {
         let height = face.height(point);
@@ -279,13 +319,13 @@ fn turning_shadow(blocker: &Blocker, point: DVec3, chart: &Chart, receiver: &Rin
             0.0
         };
         if looks[k] != 0.0 {
-            any = true;
             let normal = -looks[k] * face.normal;
             dark.cut(chart.line(normal, face.normal * face.offset));
         }
     }
-    if !any {
-        return Ring::EMPTY;
+    if looks.iter().all(|&l| l == 0.0) {
+        *dark = Ring::EMPTY;
+        return;
     }
     for edge in &blocker.edges {
         let front = if edge.other == Edge::NONE {
@@ -297,29 +337,33 @@ fn turning_shadow(blocker: &Blocker, point: DVec3, chart: &Chart, receiver: &Rin
             }
             one > 0.0
         };
-        let (a, b) = if front { (edge.a, edge.b) } else { (edge.b, edge.a) };
+        let (a, b) = if front {
+            (edge.a, edge.b)
+        } else {
+            (edge.b, edge.a)
+        };
         dark.cut(chart.line((b - point).cross(a - point), point));
         if dark.is_empty() {
-            return dark;
+            return;
         }
     }
-    dark
 }
 
 /// Lines on the sender where the hidden part of the receiver has a kink.
 fn critical_lines(
-    pair: &Pair,
+    view: &View<'_>,
+    s: &[DVec3],
     start: &Ring,
     r: &[DVec3],
-    casts: &[Cast],
     near_m: f64,
     cuts: &mut Vec<Line>,
 ) {
     cuts.clear();
-    for cast in casts {
+    let pair = view.pair;
+    for cast in view.casts {
         let of_turning: Vec<(DVec3, DVec3)>;
         let edges = match &cast.turning {
-            None => &cast.edges,
+            None => &view.outlines.edges[cast.edges.clone()],
             Some(blocker) => {
                 // Where a face begins to show; and any edge may be one of the outline.
                 for face in &blocker.faces {
@@ -329,7 +373,7 @@ fn critical_lines(
                     }
                 }
                 of_turning = blocker.edges.iter().map(|e| (e.a, e.b)).collect();
-                &of_turning
+                &of_turning[..]
             }
         };
         let mut seen = [DVec3::ZERO; 32];
@@ -338,7 +382,7 @@ fn critical_lines(
             // An edge of the blocker passes a corner of the receiver, where the edge itself, not
             // its extension, lies between the corner and the sender.
             for &corner in r {
-                kink(pair, start, corner, (a, b), |way| way >= 1.0 - 1e-9, near_m, cuts);
+                kink(pair, s, start, corner, (a, b), |way| way >= 1.0 - 1e-9, near_m, cuts);
             }
             // A corner of the blocker passes an edge of the receiver: the corner lies between.
             for end in [a, b] {
@@ -351,7 +395,7 @@ fn critical_lines(
                 }
                 for k in 0..r.len() {
                     let edge = (r[k], r[(k + 1) % r.len()]);
-                    kink(pair, start, end, edge, |way| way <= 1e-9, near_m, cuts);
+                    kink(pair, s, start, end, edge, |way| way <= 1e-9, near_m, cuts);
                 }
             }
         }
@@ -363,6 +407,7 @@ fn critical_lines(
 /// that line: 0 at the apex, 1 on the edge.
 fn kink(
     pair: &Pair,
+    s: &[DVec3],
     start: &Ring,
     apex: DVec3,
     (a, b): (DVec3, DVec3),
@@ -372,6 +417,16 @@ fn kink(
 ) {
     let along = b - a;
     let normal = along.cross(apex - a);
+    // Most planes pass the sender by.
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for &x in s {
+        let h = normal.dot(x - a);
+        low = if h < low { h } else { low };
+        high = if h > high { h } else { high };
+    }
+    if low >= 0.0 || high <= 0.0 {
+        return;
+    }
     let Some(line) = crossing(pair.from.line(normal, a), start, near_m) else {
         return;
     };
@@ -415,8 +470,8 @@ fn crossing(line: Line, ring: &Ring, near_m: f64) -> Option<Line> {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for &c in ring.corners() {
         let h = line.at(c);
-        low = low.min(h);
-        high = high.max(h);
+        low = if h < low { h } else { low };
+        high = if h > high { h } else { high };
     }
     (low < -near_m && high > near_m).then_some(line)
 }
@@ -468,7 +523,9 @@ struct View<'a> {
     pair: &'a Pair,
     receiver: &'a Ring,
     receiver_area: f64,
+    receiver_middle: DVec3,
     casts: &'a [Cast],
+    outlines: &'a Outlines,
 }
 
 /// Rule of few nodes on each piece of the sender; the worst pieces are halved.
@@ -477,6 +534,7 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     let mut next = std::mem::take(&mut scratch.next);
     cells.clear();
     cells.push(start);
+    let small_m2 = asked.small * start.area();
     let mut complete = scratch.cuts.len() < MOST_CUTS;
     for &line in &scratch.cuts {
         if cells.len() > MOST_CELLS {
@@ -508,7 +566,15 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
             error: 0.0,
             order,
         };
-        measure(view, &mut cell, unsure, scratch);
+        if !unsure && ring.area() <= small_m2 {
+            // Too small for its kinks and its curvature to matter.
+            let (hidden, all) = hidden_from(view, ring.middle(), scratch);
+            let area = ring.area();
+            (cell.hidden, cell.all) = (hidden * area, all * area);
+            scratch.counts[2] += 1;
+        } else {
+            measure(view, &mut cell, unsure, scratch);
+        }
         cell
     };
     for &ring in &cells {
@@ -594,16 +660,21 @@ fn measure(view: &View<'_>, cell: &mut Cell, unsure: bool, scratch: &mut Scratch
 /// all of it.
 fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f64) {
     let x = view.pair.from.space(point);
-    let all = factor(view.pair, x, view.receiver);
-    let shadows = &mut scratch.shadows;
-    shadows.clear();
-    for cast in view.casts {
-        let shadow = cast.shadow(x, &view.pair.to, view.receiver);
-        if !shadow.is_empty() {
-            shadows.push(shadow);
-        }
+    let all = if view.pair.far {
+        kernel(view.pair, x, view.receiver_middle, view.receiver_area)
+    } else {
+        factor(view.pair, x, view.receiver)
+    };
+    if scratch.shadows.len() < view.casts.len() {
+        scratch.shadows.resize(view.casts.len(), Ring::EMPTY);
     }
-    let hidden = match shadows.as_slice() {
+    let mut count = 0;
+    for cast in view.casts {
+        let shadow = &mut scratch.shadows[count];
+        cast.shadow(x, view, shadow);
+        count += usize::from(!shadow.is_empty());
+    }
+    let hidden = match &scratch.shadows[..count] {
         [] => return (0.0, all),
         [one] => {
             if one.area() >= view.receiver_area * (1.0 - 1e-12) {
@@ -648,10 +719,7 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
 fn factor(pair: &Pair, x: DVec3, piece: &Ring) -> f64 {
     if pair.far {
         let (area, centroid) = piece.moments();
-        let d = pair.to.space(centroid) - x;
-        let square = d.length_squared();
-        let cosines = d.dot(pair.from.normal) * -d.dot(pair.to.normal);
-        return (area * cosines / (PI * square * square)).max(0.0);
+        return kernel(pair, x, pair.to.space(centroid), area);
     }
     let mut corners = [DVec3::ZERO; super::ring::MOST];
     let n = piece.corners().len();
@@ -663,4 +731,13 @@ fn factor(pair: &Pair, x: DVec3, piece: &Ring) -> f64 {
     } else {
         above_horizon(x, pair.from.normal, &corners[..n])
     }
+}
+
+/// `cos cos / (pi r^2)` times an area.
+#[inline]
+fn kernel(pair: &Pair, x: DVec3, middle: DVec3, area: f64) -> f64 {
+    let d = middle - x;
+    let square = d.length_squared();
+    let cosines = d.dot(pair.from.normal) * -d.dot(pair.to.normal);
+    (area * cosines / (PI * square * square)).max(0.0)
 }

@@ -263,7 +263,9 @@ impl Walk {
                 .min(least)
                 .max(least / ground.rows as f64),
             near_m: ground.near_m,
-            sliver: (2.0 * ground.error.sqrt()).min(0.05),
+            sliver: (env("SL", 2.0) * ground.error.sqrt()).min(0.05),
+            far: env("FAR", 0.12) / ground.error.sqrt(),
+            small: env("SM", 10.0) * ground.error.sqrt(),
         };
         between(from, to, &blockers, &asked, &mut self.scratch)
     }
@@ -342,4 +344,9 @@ fn above_lid(blocker: &Blocker, from: &[DVec3], to: &[DVec3], near_m: f64) -> bo
         let above = |points: &[DVec3]| points.iter().all(|&p| lid.height(p) <= near_m);
         above(from) && above(to)
     })
+}
+
+fn env(name: &str, or: f64) -> f64 {
+    thread_local!(static V: std::cell::RefCell<std::collections::HashMap<String, f64>> = Default::default());
+    V.with(|v| *v.borrow_mut().entry(name.into()).or_insert_with(|| std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(or)))
 }
