@@ -11,6 +11,7 @@
 //! - geometry made fit for lighting: [`mod@repair`]
 //! - light added from the command line: [`mod@scene_ops`]
 //! - the lit scene as glTF: [`mod@write_gltf`]; the solution to resume: [`mod@solution_file`]
+//! - view factors as sparse matrices: [`mod@write_factors`]
 
 mod assemble;
 pub mod atomic;
@@ -26,11 +27,13 @@ pub mod repair;
 pub mod scene_ops;
 pub mod solution_file;
 mod uri;
+pub mod write_factors;
 pub mod write_gltf;
 
 pub use atomic::write as write_atomic;
 pub use document::{Document, ExternalImage, GltfSource, Kind, Resolver, Source, read, read_bytes};
-pub use error::{Error, Place};
+pub use error::{Error, Place, WriteError};
 pub use options::{Back, ReadOptions, Up};
 pub use solution_file::{StoredSolution, fingerprint, read_solution, write_solution};
+pub use write_factors::{FactorFormat, Precision, write_factors};
 pub use write_gltf::{LitPrimitive, LitScale, lit_glb, write_lit_glb};
