@@ -11,10 +11,12 @@
 //! - geometry made fit for lighting: [`mod@repair`]
 //! - light added from the command line: [`mod@scene_ops`]
 //! - the lit scene as glTF: [`mod@write_gltf`]; the solution to resume: [`mod@solution_file`]
-//! - view factors as sparse matrices: [`mod@write_factors`]
+//! - view factors as sparse matrices: [`mod@write_factors`]; parts of them while they are computed:
+//!   [`mod@batch_file`]
 
 mod assemble;
 pub mod atomic;
+pub mod batch_file;
 mod budget;
 mod document;
 mod error;
@@ -31,6 +33,7 @@ pub mod write_factors;
 pub mod write_gltf;
 
 pub use atomic::write as write_atomic;
+pub use batch_file::{Batch, BatchEntry, BatchFile, Lost, facets_fingerprint};
 pub use document::{Document, ExternalImage, GltfSource, Kind, Resolver, Source, read, read_bytes};
 pub use error::{Error, Place, WriteError};
 pub use options::{Back, ReadOptions, Up};
