@@ -22,6 +22,14 @@ pub fn write_with(
     path: &Path,
     fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
+    write_seeking(path, |out| fill(out)).map(|_| ())
+}
+
+/// As [`write_with`], for formats that go back to fill in a sum; returns the bytes of the file.
+pub fn write_seeking(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> io::Result<u64> {
     let name = path.file_name().ok_or_else(|| {
         io::Error::new(
             io::ErrorKind::InvalidInput,
@@ -37,6 +45,7 @@ pub fn write_with(
     fill(&mut out)?;
     let file = out.into_inner().map_err(|e| e.into_error())?;
     file.sync_all()?;
+    let bytes = file.metadata()?.len();
     drop(file);
     fs::rename(&guard.path, path)?;
     std::mem::forget(guard);
@@ -45,7 +54,7 @@ pub fn write_with(
     if let Ok(folder) = File::open(folder) {
         let _ = folder.sync_all();
     }
-    Ok(())
+    Ok(bytes)
 }
 
 /// A temporary file, removed unless it was moved to its place.

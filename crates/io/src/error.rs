@@ -1,6 +1,8 @@
-//! Why a file could not be read: file, place, expected, found, in one line.
+//! Why a file could not be read (file, place, expected, found) or written, in one line.
 
 use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
 
 /// A place in a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -79,6 +81,50 @@ impl fmt::Display for Error {
             clean(&self.expected),
             clean(&self.found)
         )
+    }
+}
+
+/// What kept a file from being written.
+///
+/// Printed as one line, without control characters:
+/// `room.npz: could not be written: the disk is full`.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The name does not tell which format is wanted.
+    #[error("{}: expected a name that ends in {expected}", clean(&path.display().to_string()))]
+    Format {
+        /// File as the user named it.
+        path: PathBuf,
+        /// Endings that are known.
+        expected: &'static str,
+    },
+    /// The system, or what was to be written, stood in the way.
+    #[error("{}: could not be written: {}", clean(&path.display().to_string()), plainly(source))]
+    System {
+        /// File as the user named it.
+        path: PathBuf,
+        /// The system's answer.
+        source: io::Error,
+    },
+}
+
+impl WriteError {
+    /// The system's answer with its file.
+    pub(crate) fn system(path: &Path, source: io::Error) -> Self {
+        WriteError::System {
+            path: path.to_owned(),
+            source,
+        }
+    }
+}
+
+/// The system's answer, in plain words where it is a matter of space.
+fn plainly(e: &io::Error) -> String {
+    match e.kind() {
+        io::ErrorKind::StorageFull => "the disk is full".into(),
+        io::ErrorKind::QuotaExceeded => "the user's share of the disk is full".into(),
+        io::ErrorKind::FileTooLarge => "it is too large for this file system".into(),
+        _ => clean(&e.to_string()),
     }
 }
 

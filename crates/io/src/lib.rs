@@ -11,9 +11,12 @@
 //! - geometry made fit for lighting: [`mod@repair`]
 //! - light added from the command line: [`mod@scene_ops`]
 //! - the lit scene as glTF: [`mod@write_gltf`]; the solution to resume: [`mod@solution_file`]
+//! - view factors as sparse matrices: [`mod@write_factors`]; parts of them while they are computed:
+//!   [`mod@batch_file`]
 
 mod assemble;
 pub mod atomic;
+pub mod batch_file;
 mod budget;
 mod document;
 mod error;
@@ -26,11 +29,14 @@ pub mod repair;
 pub mod scene_ops;
 pub mod solution_file;
 mod uri;
+pub mod write_factors;
 pub mod write_gltf;
 
 pub use atomic::write as write_atomic;
+pub use batch_file::{Batch, BatchEntry, BatchFile, Lost, facets_fingerprint};
 pub use document::{Document, ExternalImage, GltfSource, Kind, Resolver, Source, read, read_bytes};
-pub use error::{Error, Place};
+pub use error::{Error, Place, WriteError};
 pub use options::{Back, ReadOptions, Up};
 pub use solution_file::{StoredSolution, fingerprint, read_solution, write_solution};
+pub use write_factors::{FactorFormat, Precision, write_factors};
 pub use write_gltf::{LitPrimitive, LitScale, lit_glb, write_lit_glb};

@@ -39,7 +39,7 @@ pub struct StoredSolution {
 ///
 /// Not a cryptographic hash: it tells apart what a user may confuse.
 pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -> u64 {
-    let mut h = Fnv(0xcbf2_9ce4_8422_2325);
+    let mut h = Fnv::default();
     h.count(scene.positions.len());
     scene.positions.iter().for_each(|p| h.floats(&p.to_array()));
     h.count(scene.triangles.len());
@@ -151,26 +151,35 @@ pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -
     }
     settings.iter().for_each(|text| h.text(text));
     h.word(seed as u64);
-    h.0
+    h.finish()
 }
 
 /// FNV-1a over words of 64 bits, each mixed once more so that high bits come down [Fowler91].
-struct Fnv(u64);
+pub(crate) struct Fnv(u64);
+
+impl Default for Fnv {
+    fn default() -> Self {
+        Fnv(0xcbf2_9ce4_8422_2325)
+    }
+}
 
 impl Fnv {
-    fn word(&mut self, v: u64) {
+    pub(crate) fn word(&mut self, v: u64) {
         self.0 = (self.0 ^ v).wrapping_mul(0x0000_0100_0000_01b3);
         self.0 ^= self.0 >> 29;
     }
-    fn count(&mut self, n: usize) {
+    pub(crate) fn count(&mut self, n: usize) {
         self.word(n as u64);
     }
     fn floats(&mut self, values: &[f32]) {
         values.iter().for_each(|v| self.word(v.to_bits() as u64));
     }
-    fn text(&mut self, text: &str) {
+    pub(crate) fn text(&mut self, text: &str) {
         self.count(text.len());
         text.bytes().for_each(|b| self.word(b as u64));
+    }
+    pub(crate) fn finish(self) -> u64 {
+        self.0
     }
 }
 

@@ -4,6 +4,7 @@ mod arena;
 mod build;
 pub mod bvh;
 pub mod closed_forms;
+pub mod closure_repair;
 pub mod constant;
 pub mod contract;
 pub(crate) mod dilogarithm;
@@ -28,6 +29,9 @@ pub(crate) mod testing;
 mod traverse;
 
 pub use bvh::{Bvh, Kernel};
+pub use closure_repair::{
+    Closure, ExchangeAreas, NegativePairs, Repair, RepairOutcome, RepairSettings, repair_closure,
+};
 pub use constant::Constant;
 pub use contract::{Arrival, FactorRow, FormFactors, Hit, LocalLines, Ray, RayCaster, of_each};
 pub use hemicube::Hemicube;
