@@ -264,8 +264,8 @@ impl Walk {
                 .max(least / ground.rows as f64),
             near_m: ground.near_m,
             sliver: (env("SL", 2.0) * ground.error.sqrt()).min(0.05),
-            far: env("FAR", 0.12) / ground.error.sqrt(),
-            small: env("SM", 10.0) * ground.error.sqrt(),
+            far: env("FAR", 0.06) / ground.error.sqrt(),
+            small: env("SM", 5.0) * ground.error.sqrt(),
         };
         between(from, to, &blockers, &asked, &mut self.scratch)
     }
