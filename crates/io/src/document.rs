@@ -131,7 +131,7 @@ pub fn read_bytes(
 }
 
 /// A whole file of at most `limit` bytes, or why not.
-fn file_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
+pub(crate) fn file_bytes(path: &Path, limit: u64) -> Result<Vec<u8>, String> {
     let why = |e: std::io::Error| match e.kind() {
         std::io::ErrorKind::NotFound => "no such file".to_owned(),
         _ => e.to_string(),

@@ -8,6 +8,7 @@
 //!
 //! - glTF 2.0 and GLB: [`mod@gltf_reader`]
 //! - OBJ with MTL: [`mod@obj_reader`]
+//! - facets for view factors, out of STL, PLY, OBJ, glTF and VS3: [`mod@facet_reader`]
 //! - geometry made fit for lighting: [`mod@repair`]
 //! - light added from the command line: [`mod@scene_ops`]
 //! - the lit scene as glTF: [`mod@write_gltf`]; the solution to resume: [`mod@solution_file`]
@@ -20,6 +21,7 @@ pub mod batch_file;
 mod budget;
 mod document;
 mod error;
+pub mod facet_reader;
 pub mod gltf_reader;
 mod json;
 pub mod obj_reader;
@@ -36,6 +38,7 @@ pub use atomic::write as write_atomic;
 pub use batch_file::{Batch, BatchEntry, BatchFile, Lost, facets_fingerprint};
 pub use document::{Document, ExternalImage, GltfSource, Kind, Resolver, Source, read, read_bytes};
 pub use error::{Error, Place, WriteError};
+pub use facet_reader::{FacetDocument, FacetKind, FacetOptions, read_facets, read_facets_bytes};
 pub use options::{Back, ReadOptions, Up};
 pub use solution_file::{StoredSolution, fingerprint, read_solution, write_solution};
 pub use write_factors::{FactorFormat, Precision, write_factors};

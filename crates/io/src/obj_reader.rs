@@ -9,15 +9,15 @@
 //! is a warning, and 0.5 is taken.
 
 mod mtl;
-mod polygon;
-mod text;
+pub(crate) mod polygon;
+pub(crate) mod text;
 
 use crate::assemble::{Assembly, SurfaceOrigin};
 use crate::budget::Budget;
 use crate::document::{Document, Resolver, Source};
 use crate::error::{Error, clean};
 use crate::options::ReadOptions;
-use luxel_core::{FinishId, Vec2, Vec3};
+use luxel_core::{DVec3, FinishId, Vec2, Vec3};
 use mtl::Library;
 use std::collections::HashMap;
 use text::Lines;
@@ -176,9 +176,9 @@ impl Reading<'_, '_> {
             return Ok(());
         }
         let part = self.current_part();
-        let ring: Vec<Vec3> = corners
+        let ring: Vec<DVec3> = corners
             .iter()
-            .map(|c| self.positions[c.0 as usize])
+            .map(|c| self.positions[c.0 as usize].as_dvec3())
             .collect();
         if ring.len() > polygon::MOST_CORNERS {
             let what = format!(
@@ -263,12 +263,7 @@ impl Reading<'_, '_> {
             });
             let material = assembly.scene.finishes[finish.index()].name.clone();
             let (object, group) = &places[part.place];
-            let name = match (object.as_str(), group.as_str()) {
-                ("", "") => String::new(),
-                (one, "") | ("", one) => one.to_owned(),
-                (one, other) if one == other => one.to_owned(),
-                (one, other) => format!("{one}, {other}"),
-            };
+            let name = place_name(object, group);
             let name = match (name.as_str(), materials[part.place]) {
                 ("", _) => material,
                 (_, 1) => name,
@@ -292,6 +287,15 @@ impl Reading<'_, '_> {
     }
 }
 
+/// The name of what an object and a group hold together.
+pub(crate) fn place_name(object: &str, group: &str) -> String {
+    match (object, group) {
+        (one, "") | ("", one) => one.to_owned(),
+        (one, other) if one == other => one.to_owned(),
+        (one, other) => format!("{one}, {other}"),
+    }
+}
+
 fn number_of(word: Option<&str>, expected: &str) -> Result<f32, Error> {
     let found =
         |w: Option<&str>| w.map_or("the end of the line".into(), |w| format!("'{}'", clean(w)));
@@ -310,7 +314,7 @@ fn numbers(rest: &str, expected: &str) -> Result<[f32; 3], Error> {
 }
 
 /// The index that a word of a face means, from 0.
-fn index(text: &str, count: usize, word: &str, things: &str) -> Result<u32, Error> {
+pub(crate) fn index(text: &str, count: usize, word: &str, things: &str) -> Result<u32, Error> {
     let wrong = || {
         let expected = match count {
             0 => format!("{things} before this line"),

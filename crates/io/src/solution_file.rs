@@ -154,6 +154,18 @@ pub fn fingerprint(scene: &Scene, front: &Front, settings: &[&str], seed: u32) -
     h.finish()
 }
 
+/// A number that changes with any of the bytes and with what came `before` them.
+pub(crate) fn fingerprint_of_bytes(before: u64, bytes: &[u8]) -> u64 {
+    let mut h = Fnv(0xcbf2_9ce4_8422_2325 ^ before);
+    h.count(bytes.len());
+    for chunk in bytes.chunks(8) {
+        let mut word = [0; 8];
+        word[..chunk.len()].copy_from_slice(chunk);
+        h.word(u64::from_le_bytes(word));
+    }
+    h.0
+}
+
 /// FNV-1a over words of 64 bits, each mixed once more so that high bits come down [Fowler91].
 pub(crate) struct Fnv(u64);
 

@@ -28,10 +28,10 @@ use crate::json::{Json, as_whole, entry, found};
 use crate::options::ReadOptions;
 use buffers::Buffers;
 use geometry::{Meshes, Primitive};
-use luxel_core::Vec3;
 use luxel_core::glam::{DMat3, DMat4, DQuat, DVec3};
+use luxel_core::{Scene, Vec3, Warnings};
 use materials::Materials;
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 /// Extensions that are read, or that change nothing that diffuse light would see.
 const KNOWN: [&str; 17] = [
@@ -71,13 +71,7 @@ pub(crate) fn read(
     budget: &mut Budget,
 ) -> Result<Document, Error> {
     let container = buffers::container(&bytes)?;
-    // A JSON value takes up to about twelve times its text.
-    budget.take(container.json.len(), 12)?;
-    let json: Value = serde_json::from_slice(container.json).map_err(|e| {
-        let message = e.to_string();
-        let what = message.split(" at line ").next().unwrap_or(&message);
-        Error::new("JSON", what).at_line(e.line())
-    })?;
+    let json = json_of(container.json, budget)?;
     let mut assembly = Assembly::new(file, options);
     check_head(&json, &mut assembly)?;
     let buffers = Buffers::load(&json, container.bin, resolver, budget)?;
@@ -91,6 +85,68 @@ pub(crate) fn read(
         json,
     };
     assembly.finish(Source::Gltf(Box::new(source)))
+}
+
+/// Reads the triangles of a glTF file as they are: every one, in the order of nodes, primitives
+/// and indices, with the names of their surfaces and finishes. No repairs, no light, no pictures.
+pub(crate) fn read_triangles(
+    file: &str,
+    bytes: &[u8],
+    resolver: &Resolver<'_>,
+    options: &ReadOptions,
+    budget: &mut Budget,
+) -> Result<(Scene, Warnings), Error> {
+    let container = buffers::container(bytes)?;
+    let mut json = json_of(container.json, budget)?;
+    keep_geometry(&mut json);
+    let mut assembly = Assembly::new(file, options);
+    check_head(&json, &mut assembly)?;
+    let buffers = Buffers::load(&json, container.bin, resolver, budget)?;
+    let mut images = buffers::ExternalImages::new(&json, resolver)?;
+    read_scene(&json, &buffers, &mut images, &mut assembly, budget)?;
+    Ok((assembly.scene, assembly.warnings))
+}
+
+/// Takes out what has no place: what is not there cannot be wrong.
+fn keep_geometry(json: &mut Value) {
+    let Some(whole) = json.as_object_mut() else {
+        return;
+    };
+    for key in ["images", "textures", "cameras", "extensionsUsed"] {
+        whole.remove(key);
+    }
+    let mut each = |key: &str, change: &dyn Fn(&mut Map<String, Value>)| {
+        let list = whole.get_mut(key).and_then(Value::as_array_mut);
+        for value in list.into_iter().flatten() {
+            value.as_object_mut().map(change);
+        }
+    };
+    each("materials", &|material| {
+        material.retain(|key, _| key == "name")
+    });
+    each("nodes", &|node| {
+        node.remove("camera");
+        node.remove("extensions");
+    });
+    each("meshes", &|mesh| {
+        let list = mesh.get_mut("primitives").and_then(Value::as_array_mut);
+        for primitive in list.into_iter().flatten() {
+            let attributes = primitive.get_mut("attributes");
+            if let Some(attributes) = attributes.and_then(Value::as_object_mut) {
+                attributes.retain(|key, _| key == "POSITION");
+            }
+        }
+    });
+}
+
+fn json_of(text: &[u8], budget: &mut Budget) -> Result<Value, Error> {
+    // A JSON value takes up to about twelve times its text.
+    budget.take(text.len(), 12)?;
+    serde_json::from_slice(text).map_err(|e| {
+        let message = e.to_string();
+        let what = message.split(" at line ").next().unwrap_or(&message);
+        Error::new("JSON", what).at_line(e.line())
+    })
 }
 
 /// Version and required extensions.

@@ -5,14 +5,14 @@
 //! n corners takes at most of the order of n² steps. A polygon that is not simple has stretches
 //! without an ear: there the next corner is cut whatever it looks like.
 
-use luxel_core::{DVec3, Vec3};
+use luxel_core::DVec3;
 use std::cmp::Ordering;
 
 /// Corners above which a polygon is cut as a fan: n² steps would take seconds.
-pub(super) const MOST_CORNERS: usize = 4096;
+pub(crate) const MOST_CORNERS: usize = 4096;
 
 /// Area vector of a closed ring (Newell).
-fn area_vector(p: &[DVec3]) -> DVec3 {
+pub(crate) fn area_vector(p: &[DVec3]) -> DVec3 {
     let mut sum = DVec3::ZERO;
     for k in 1..p.len().saturating_sub(1) {
         sum += (p[k] - p[0]).cross(p[k + 1] - p[0]);
@@ -21,14 +21,13 @@ fn area_vector(p: &[DVec3]) -> DVec3 {
 }
 
 /// Whether all corners lie in one plane, to a thousandth of the polygon's size.
-pub(super) fn is_flat(ring: &[Vec3]) -> bool {
-    if ring.len() < 4 {
+pub(crate) fn is_flat(p: &[DVec3]) -> bool {
+    if p.len() < 4 {
         return true;
     }
-    let p: Vec<DVec3> = ring.iter().map(|p| p.as_dvec3()).collect();
-    let normal = area_vector(&p).normalize_or_zero();
+    let normal = area_vector(p).normalize_or_zero();
     let (mut off, mut size) = (0.0f64, 0.0f64);
-    for q in &p {
+    for q in p {
         off = off.max((*q - p[0]).dot(normal).abs());
         size = size.max((*q - p[0]).length());
     }
@@ -36,16 +35,15 @@ pub(super) fn is_flat(ring: &[Vec3]) -> bool {
 }
 
 /// The triangles of a polygon of at least three corners, as positions in the ring.
-pub(super) fn ears(ring: &[Vec3]) -> Vec<[usize; 3]> {
-    let n = ring.len();
+pub(crate) fn ears(p: &[DVec3]) -> Vec<[usize; 3]> {
+    let n = p.len();
     if n == 3 {
         return vec![[0, 1, 2]];
     }
     if !(3..=MOST_CORNERS).contains(&n) {
         return (1..n.saturating_sub(1)).map(|k| [0, k, k + 1]).collect();
     }
-    let p: Vec<DVec3> = ring.iter().map(|p| p.as_dvec3()).collect();
-    let normal = area_vector(&p);
+    let normal = area_vector(p);
     let turn = |a: usize, b: usize, c: usize| (p[b] - p[a]).cross(p[c] - p[b]).dot(normal);
     let mut next: Vec<usize> = (0..n).map(|k| (k + 1) % n).collect();
     let mut before: Vec<usize> = (0..n).map(|k| (k + n - 1) % n).collect();
@@ -101,7 +99,7 @@ pub(super) fn ears(ring: &[Vec3]) -> Vec<[usize; 3]> {
 mod tests {
     use super::*;
 
-    fn area(ring: &[Vec3], triangles: &[[usize; 3]]) -> f32 {
+    fn area(ring: &[DVec3], triangles: &[[usize; 3]]) -> f64 {
         triangles
             .iter()
             .map(|t| {
@@ -115,19 +113,19 @@ mod tests {
     #[test]
     fn a_comb_is_cut_into_triangles_of_its_area() {
         // Ten teeth of 1 x 2 on a back of 19 x 1: area 10 * 2 + 19 = 39.
-        let mut ring = vec![Vec3::ZERO, Vec3::new(19.0, 0.0, 0.0)];
+        let mut ring = vec![DVec3::ZERO, DVec3::new(19.0, 0.0, 0.0)];
         for k in (0..10).rev() {
-            let x = 2.0 * k as f32;
-            ring.push(Vec3::new(x + 1.0, 3.0, 0.0));
-            ring.push(Vec3::new(x, 3.0, 0.0));
+            let x = 2.0 * k as f64;
+            ring.push(DVec3::new(x + 1.0, 3.0, 0.0));
+            ring.push(DVec3::new(x, 3.0, 0.0));
             if k > 0 {
-                ring.push(Vec3::new(x, 1.0, 0.0));
-                ring.push(Vec3::new(x - 1.0, 1.0, 0.0));
+                ring.push(DVec3::new(x, 1.0, 0.0));
+                ring.push(DVec3::new(x - 1.0, 1.0, 0.0));
             }
         }
         let triangles = ears(&ring);
         assert_eq!(triangles.len(), ring.len() - 2);
-        assert!((area(&ring, &triangles) - 39.0).abs() < 1e-4);
+        assert!((area(&ring, &triangles) - 39.0).abs() < 1e-9);
         for t in &triangles {
             assert!(area(&ring, &[*t]) >= 0.0, "{t:?} is turned");
         }
@@ -135,9 +133,9 @@ mod tests {
 
     #[test]
     fn polygons_that_are_not_simple_end() {
-        let bow = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(1.0, 1.0, 0.0)];
+        let bow = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(1.0, 1.0, 0.0)];
         assert_eq!(ears(&bow).len(), 2);
-        assert_eq!(ears(&[Vec3::ZERO; 7]).len(), 5);
-        assert_eq!(ears(&[Vec3::NAN; 5]).len(), 3);
+        assert_eq!(ears(&[DVec3::ZERO; 7]).len(), 5);
+        assert_eq!(ears(&[DVec3::NAN; 5]).len(), 3);
     }
 }

@@ -1,9 +1,9 @@
-//! Text of OBJ and MTL files: encodings, line ends, continued lines, comments.
+//! Text of files: encodings, line ends; continued lines and comments of OBJ and MTL.
 
 use std::borrow::Cow;
 
 /// The text of a file: UTF-8, or UTF-16 with a byte-order mark; what is neither becomes U+FFFD.
-pub(super) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
+pub(crate) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     let sixteen = |bytes: &[u8], word: fn([u8; 2]) -> u16| {
         let words = bytes.chunks_exact(2).map(|b| word([b[0], b[1]]));
         char::decode_utf16(words)
@@ -20,20 +20,26 @@ pub(super) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
 
 /// Lines with the number of their first line, from 1. A backslash at the end of a line joins the
 /// next one to it. Lines end with LF, CR LF or CR.
-pub(super) struct Lines<'a> {
+pub(crate) struct Lines<'a> {
     rest: &'a str,
     number: usize,
 }
 
 impl<'a> Lines<'a> {
-    pub(super) fn new(text: &'a str) -> Self {
+    pub(crate) fn new(text: &'a str) -> Self {
         Lines {
             rest: text,
             number: 0,
         }
     }
 
-    fn line(&mut self) -> Option<&'a str> {
+    /// Number of the line that was read last, from 1.
+    pub(crate) fn number(&self) -> usize {
+        self.number
+    }
+
+    /// The next line as it stands: a backslash joins nothing.
+    pub(crate) fn line(&mut self) -> Option<&'a str> {
         if self.rest.is_empty() {
             return None;
         }
@@ -71,7 +77,7 @@ impl<'a> Iterator for Lines<'a> {
 }
 
 /// The line up to a `#` that begins a word: names may hold one.
-pub(super) fn without_comment(line: &str) -> &str {
+pub(crate) fn without_comment(line: &str) -> &str {
     let mut before = true;
     for (i, c) in line.char_indices() {
         if c == '#' && before {

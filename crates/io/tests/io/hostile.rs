@@ -43,8 +43,15 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Runs a reader and checks what holds for any bytes.
+/// Runs a reader of scenes and checks what holds for any bytes.
 fn tried(what: &str, run: impl FnOnce() -> Result<Document, Error>) -> Result<Document, String> {
+    let document = bounded_run(what, run)?;
+    check(what, &document);
+    Ok(document)
+}
+
+/// Runs a reader within bounds of time and memory; an error is one line.
+pub fn bounded_run<T>(what: &str, run: impl FnOnce() -> Result<T, Error>) -> Result<T, String> {
     let before = HELD.get();
     MOST.set(before);
     let start = Instant::now();
@@ -55,10 +62,7 @@ fn tried(what: &str, run: impl FnOnce() -> Result<Document, Error>) -> Result<Do
     assert!(took < Duration::from_secs(20), "{what}: took {took:?}");
     assert!(most < MOST_BYTES, "{what}: held {most} bytes");
     match result {
-        Ok(document) => {
-            check(what, &document);
-            Ok(document)
-        }
+        Ok(good) => Ok(good),
         Err(e) => {
             let line = e.to_string();
             assert!(
@@ -130,7 +134,7 @@ fn check(what: &str, document: &Document) {
     }
 }
 
-fn files_under(folder: &Path) -> Vec<PathBuf> {
+pub fn files_under(folder: &Path) -> Vec<PathBuf> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(folder) = folders.pop() {

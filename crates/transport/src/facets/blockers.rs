@@ -159,7 +159,7 @@ impl Welded {
             .flatten()
             .map(|p| p.abs().max_element())
             .fold(0.0, f64::max);
-        let near_m = (4.0 * rounding_m)
+        let near_m = (2.0 * rounding_m)
             .max(1e-9 * largest)
             .max(f64::MIN_POSITIVE);
         let mut known: HashMap<[i64; 3], u32> = HashMap::new();

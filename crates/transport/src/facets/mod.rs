@@ -118,7 +118,7 @@ impl FacetFactors {
             .flat_map(|p| &p.polygon.vertices)
             .map(|v| v.abs().max_element())
             .fold(0.0, f64::max);
-        let near_m = (4.0 * facets.rounding_m).max(1e-13 * largest);
+        let near_m = (1.5 * facets.rounding_m).max(1e-13 * largest);
         let parts = Parts::new(facets, near_m);
         let polygons: Vec<Vec<luxel_core::DVec3>> = facets
             .parts
