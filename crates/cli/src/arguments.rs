@@ -1,7 +1,9 @@
 //! The command line: what each command and flag means, and how its units are written.
 
 use clap::{Args, Parser, Subcommand};
-use luxel::{Back, MeshKind, Settings, SolverKind, Up, units};
+use luxel::factors::zones::{By, ZoneWishes, parse_rows};
+use luxel::{Back, FactorsJob, MeshKind, Precision, Receiver, Settings, SolverKind, Up, units};
+use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -18,6 +20,7 @@ Examples:
   luxel light room.glb --emit Panel=5000 --error 1%    make a material shine, 5000 cd/m2
   echo '1 0.75 2  0 1 0' | luxel probe room.glb --points -
   luxel inspect room.glb                               what was read, repaired, where the lights are
+  luxel factors furnace.stl -o F.npz                   view factors between all facets
 
 Exit code: 0 done; 1 asked accuracy not met or a case failed (files are written); 2 failed."
 )]
@@ -36,6 +39,9 @@ pub enum Command {
     Probe(Probe),
     /// What was read, what was repaired, whether it is closed, where the lights are
     Inspect(Inspect),
+    /// View factors between the facets of a mesh: a sparse matrix and a report beside it
+    #[command(after_help = FACTORS_HELP)]
+    Factors(Factors),
     /// Check Luxel against closed forms and published cases
     Verify(Verify),
 }
@@ -157,6 +163,120 @@ pub struct Inspect {
     pub common: Common,
 }
 
+const FACTORS_HELP: &str = "\
+Rows are facets in the order of the file; a quad or polygon is one row. F[i, j] is the share of
+what leaves the front of facet i (corners counter-clockwise) that reaches the front of facet j.
+Backs block, and neither send nor receive.
+
+Examples:
+  luxel factors room.obj                               writes room.factors.npz and room.factors.json
+  luxel factors furnace.stl -o F.mtx --enclosed        closed furnace: rows made to sum to 1
+  luxel factors town.obj --by object                   between objects instead of facets
+  luxel factors town.obj --group roofs=3..90 --to-zones -o roofs.csv
+  echo '0 0 1.2  0 0 1' | luxel factors town.obj --points - --by material -o person.csv
+
+In Python: F = scipy.sparse.load_npz('room.factors.npz'); areas = numpy.load(...)['areas']
+
+Exit code: 0 done; 1 stopped (finished rows are written, --resume goes on); 2 failed.";
+
+/// `luxel factors`
+#[derive(Args, Debug)]
+pub struct Factors {
+    /// Mesh: .stl, .ply, .obj, .glb, .gltf or View3D's .vs3
+    pub scene: PathBuf,
+    /// Matrix to write: .npz (scipy.sparse), .csv (row,column,factor from 0) or .mtx (Matrix
+    /// Market); a report .json comes beside it [default: SCENE.factors.npz]
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Promise per factor: |F - exact| at most this [default: 1e-4, or eps of a .vs3]
+    #[arg(long, value_name = "E", value_parser = parse_promise)]
+    pub error: Option<f64>,
+    /// Only these rows, from 0, without the last: 0..100, 100.. or 7
+    #[arg(long, value_name = "A..B", value_parser = parse_rows)]
+    pub rows: Option<Range<u32>>,
+    /// Factors between zones: each object, or each material
+    #[arg(long, value_name = "KIND", value_parser = ["object", "material"])]
+    pub by: Option<String>,
+    /// Put objects, materials, facets or rows into a zone: NAME=a,b,10..20
+    #[arg(long, value_name = "NAME=A,B")]
+    pub group: Vec<String>,
+    /// Keep facets as rows where columns are zones
+    #[arg(long)]
+    pub to_zones: bool,
+    /// Factors from points instead: lines 'x y z nx ny nz' (metres), a file or - for standard input
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["rows", "to_zones", "enclosed", "resume"])]
+    pub points: Option<String>,
+    /// The scene is closed: make rows sum to 1 by the least change that keeps reciprocity; the
+    /// size of the change is reported
+    #[arg(long)]
+    pub enclosed: bool,
+    /// Leave out factors below this in both directions; what rows lose is reported
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = parse_threshold)]
+    pub threshold: f64,
+    /// Numbers as 64 or 32 bits
+    #[arg(long, value_name = "BITS", default_value = "64", value_parser = ["32", "64"])]
+    pub precision: String,
+    /// Factor from the file's lengths to metres
+    #[arg(long, value_name = "K", default_value = "1", value_parser = parse_scale)]
+    pub scale: f64,
+    /// Turn every facet over
+    #[arg(long)]
+    pub flip: bool,
+    /// Go on with work that was stopped or killed
+    #[arg(long)]
+    pub resume: bool,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+/// Flags about the run, for commands without random numbers.
+#[derive(Args, Debug, Clone)]
+pub struct Run {
+    /// Threads to use; 0 takes all cores. Results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+    /// Most memory to use, as 4GB
+    #[arg(long, value_name = "BYTES", default_value = "4GB", value_parser = units::bytes)]
+    pub memory: u64,
+    /// Print nothing but errors and what was asked for
+    #[arg(long, short)]
+    pub quiet: bool,
+    /// Print the report as JSON on standard output
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl Factors {
+    /// The job for the library; `points` are those of `--points`, read.
+    pub fn job(&self, points: Option<Vec<Receiver>>) -> FactorsJob {
+        FactorsJob {
+            scene: self.scene.clone(),
+            output: self.output.clone(),
+            scale: self.scale,
+            flip: self.flip,
+            error: self.error,
+            rows: self.rows.clone(),
+            threshold: self.threshold,
+            zones: ZoneWishes {
+                by: self.by.as_deref().map(|by| match by {
+                    "material" => By::Material,
+                    _ => By::Object,
+                }),
+                groups: self.group.clone(),
+            },
+            to_zones: self.to_zones,
+            points,
+            enclosed: self.enclosed,
+            resume: self.resume,
+            precision: match self.precision.as_str() {
+                "32" => Precision::Single,
+                _ => Precision::Double,
+            },
+            memory: self.run.memory,
+        }
+    }
+}
+
 /// `luxel verify`
 #[derive(Args, Debug)]
 pub struct Verify {
@@ -219,6 +339,26 @@ pub fn settings(
     }
     common.apply(&mut settings);
     settings
+}
+
+/// A number within bounds, in words for the error.
+fn number(text: &str, low: f64, high: f64) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(v) if (low..=high).contains(&v) => Ok(v),
+        _ => Err(format!("expected a number from {low:e} to {high:e}, found '{text}'")),
+    }
+}
+
+fn parse_promise(text: &str) -> Result<f64, String> {
+    number(text, 1e-8, 0.1)
+}
+
+fn parse_threshold(text: &str) -> Result<f64, String> {
+    number(text, 0.0, 0.1)
+}
+
+fn parse_scale(text: &str) -> Result<f64, String> {
+    number(text, 1e-9, 1e9)
 }
 
 fn parse_mesh(name: &str) -> Result<MeshKind, String> {

@@ -1,8 +1,10 @@
 //! The commands: from arguments to the library and back to the terminal.
 
-use crate::arguments::{Arguments, Command, Common, Inspect, Light, Probe, Verify, settings};
+use crate::arguments::{
+    Arguments, Command, Factors, Inspect, Light, Probe, Verify, settings,
+};
 use crate::terminal;
-use luxel::{Control, LightJob, Session, Status, points};
+use luxel::{Control, LightJob, Receiver, Session, Status, points};
 use std::io::{Read, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -40,12 +42,13 @@ pub fn run(arguments: Arguments) -> Result<Outcome, String> {
         Command::Light(light) => self::light(&light),
         Command::Probe(probe) => self::probe(&probe),
         Command::Inspect(inspect) => self::inspect(&inspect),
+        Command::Factors(factors) => self::factors(&factors),
         Command::Verify(verify) => self::verify(&verify),
     }
 }
 
-fn threads(common: &Common) -> Result<(), String> {
-    luxel::use_threads(common.threads).map_err(|e| format!("--threads {}: {e}", common.threads))
+fn threads(threads: usize) -> Result<(), String> {
+    luxel::use_threads(threads).map_err(|e| format!("--threads {threads}: {e}"))
 }
 
 /// Set by Ctrl-C. A second Ctrl-C ends the program at once.
@@ -92,7 +95,7 @@ fn print(text: &str) -> Result<(), String> {
 }
 
 fn light(arguments: &Light) -> Result<Outcome, String> {
-    threads(&arguments.common)?;
+    threads(arguments.common.threads)?;
     let stop = stop_on_interrupt();
     let mut progress = terminal::Progress::new(arguments.common.quiet);
     let job = LightJob {
@@ -117,22 +120,8 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
 }
 
 fn probe(arguments: &Probe) -> Result<Outcome, String> {
-    threads(&arguments.common)?;
-    let (place, text) = if arguments.points == "-" {
-        (
-            "standard input".to_string(),
-            read_bounded(std::io::stdin().lock(), arguments.common.memory),
-        )
-    } else {
-        let file = std::fs::File::open(&arguments.points)
-            .map_err(|e| format!("{}: {e}", arguments.points))?;
-        (
-            arguments.points.clone(),
-            read_bounded(file, arguments.common.memory),
-        )
-    };
-    let text = text.map_err(|e| format!("{place}: {e}"))?;
-    let receivers = points::parse(&place, &text)?;
+    threads(arguments.common.threads)?;
+    let receivers = receivers(&arguments.points, arguments.common.memory)?;
     let stop = stop_on_interrupt();
     let settings = settings(&arguments.scene, Some(&arguments.solve), &arguments.common);
     let mut progress = terminal::Progress::new(arguments.common.quiet);
@@ -168,6 +157,63 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     Ok(Outcome::of(answer.reached))
 }
 
+/// Points of a file, or of standard input for `-`.
+fn receivers(from: &str, memory: u64) -> Result<Vec<Receiver>, String> {
+    let (place, text) = if from == "-" {
+        (
+            "standard input",
+            read_bounded(std::io::stdin().lock(), memory),
+        )
+    } else {
+        let file = std::fs::File::open(from).map_err(|e| format!("{from}: {e}"))?;
+        (from, read_bounded(file, memory))
+    };
+    let text = text.map_err(|e| format!("{place}: {e}"))?;
+    points::parse(place, &text)
+}
+
+fn factors(arguments: &Factors) -> Result<Outcome, String> {
+    let run = &arguments.run;
+    threads(run.threads)?;
+    let points = match &arguments.points {
+        Some(from) => Some(receivers(from, run.memory)?),
+        None => None,
+    };
+    let stop = stop_on_interrupt();
+    let mut progress = terminal::Progress::new(run.quiet);
+    let job = arguments.job(points);
+    let outcome = luxel::factors(&job, &mut |status| watch(&mut progress, &stop, status));
+    progress.end();
+    let outcome = match outcome {
+        Ok(outcome) => outcome,
+        Err(error) => return ended(error),
+    };
+    if !run.quiet {
+        for warning in outcome.warnings.iter() {
+            terminal::say(&format!("warning: {warning}"));
+        }
+    }
+    if run.json {
+        let json = serde_json::to_string_pretty(&outcome.report).map_err(|e| e.to_string())?;
+        print(&(json + "\n"))?;
+    } else if !run.quiet {
+        let files = format!(
+            "{:>22}  {}, {}\n",
+            "written",
+            outcome.output.display(),
+            outcome.report_path.display()
+        );
+        print(&(outcome.report.table() + &files))?;
+    }
+    if !outcome.complete {
+        terminal::say(&format!(
+            "stopped: {} rows are finished; --resume goes on from there",
+            outcome.report.finished_rows
+        ));
+    }
+    Ok(Outcome::of(outcome.complete))
+}
+
 /// All of `source`, which may be as long as an eighth of the memory bound.
 fn read_bounded(source: impl Read, memory: u64) -> Result<String, String> {
     let most = memory / 8;
@@ -186,7 +232,7 @@ fn read_bounded(source: impl Read, memory: u64) -> Result<String, String> {
 }
 
 fn inspect(arguments: &Inspect) -> Result<Outcome, String> {
-    threads(&arguments.common)?;
+    threads(arguments.common.threads)?;
     let settings = settings(&arguments.scene, None, &arguments.common);
     let found = luxel::inspect(&arguments.scene.scene, &settings).map_err(|e| e.to_string())?;
     if arguments.common.json {
@@ -199,7 +245,7 @@ fn inspect(arguments: &Inspect) -> Result<Outcome, String> {
 }
 
 fn verify(arguments: &Verify) -> Result<Outcome, String> {
-    threads(&arguments.common)?;
+    threads(arguments.common.threads)?;
     let mut failed = None;
     let passed = luxel::verify::run(arguments.cases.as_deref(), &mut |line| {
         if let Err(e) = print(&format!("{line}\n")) {

@@ -20,7 +20,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// Stopped by whoever watches before there was anything to show.
-    #[error("stopped before there was any light; nothing was written")]
+    #[error("stopped before there was anything to show; nothing was written")]
     Stopped,
     /// The memory bound is too small for this scene.
     #[error("{scene}: needs about {needed_mb} MB, more than --memory allows ({bound_mb} MB)")]

@@ -5,6 +5,7 @@
 
 mod energy;
 pub mod error;
+pub mod factors;
 pub mod inspect;
 pub mod light;
 mod matter;
@@ -20,11 +21,12 @@ pub mod watch;
 mod work;
 
 pub use error::Error;
+pub use factors::{FactorsJob, FactorsOutcome, factors};
 pub use inspect::{Inspection, inspect};
 pub use light::{LightJob, Outcome, light};
 pub use luxel_core::{Scene, Solution, Vec3, Warnings};
 pub use luxel_gather::{Accuracy, Irradiance, Receiver};
-pub use luxel_io::{Back, ReadOptions, Up};
+pub use luxel_io::{Back, Precision, ReadOptions, Up};
 pub use luxel_mesh::Kind as MeshKind;
 pub use luxel_solve::{Kind as SolverKind, Progress};
 pub use probe::{Answer, probe};

@@ -20,7 +20,7 @@ mod shadow;
 mod shaft;
 mod walk;
 
-use luxel_core::{Facets, SparseRows};
+use luxel_core::{DVec3, Facets, SparseRows};
 use parts::Parts;
 use rayon::prelude::*;
 use shaft::BlockerTree;
@@ -120,7 +120,7 @@ impl FacetFactors {
             .fold(0.0, f64::max);
         let near_m = (1.5 * facets.rounding_m).max(1e-13 * largest);
         let parts = Parts::new(facets, near_m);
-        let polygons: Vec<Vec<luxel_core::DVec3>> = facets
+        let polygons: Vec<Vec<DVec3>> = facets
             .parts
             .iter()
             .map(|p| p.polygon.vertices.clone())
@@ -217,6 +217,23 @@ impl FacetFactors {
             batch.counts.add(&result.counts);
         }
         batch
+    }
+
+    /// Factors from a point with a unit normal to rows: configuration factors, in ascending
+    /// order of row, above zero. Exact to rounding.
+    pub fn from_point(&self, point: DVec3, normal: DVec3) -> Vec<(u32, f64)> {
+        let mut found = Vec::new();
+        Walk::default().from_point(&self.ground, point, normal, &mut found);
+        // Parts of a row add up; stable, so that sums are the same each time.
+        found.sort_by_key(|f| f.0);
+        found.dedup_by(|later, first| {
+            let same = later.0 == first.0;
+            if same {
+                first.1 += later.1;
+            }
+            same
+        });
+        found
     }
 
     /// The matrix of what was found.

@@ -153,6 +153,59 @@ pub(crate) fn between(
     found
 }
 
+/// Configuration factor from a point with a unit normal to the front of a polygon past blockers.
+/// The point lies in front of the polygon. Exact.
+pub(crate) fn seen_from(
+    x: DVec3,
+    normal: DVec3,
+    to: &Polygon,
+    blockers: &[&Blocker],
+    near_m: f64,
+    scratch: &mut Scratch,
+) -> f64 {
+    let r = &to.vertices;
+    let all = above_horizon(x, normal, r);
+    scratch.casts.clear();
+    scratch.outlines.edges.clear();
+    scratch.outlines.faces.clear();
+    for blocker in blockers {
+        match Cast::new(blocker, &[x], r, near_m, &mut scratch.outlines) {
+            Standing::Aside => {}
+            Standing::Everywhere => return 0.0,
+            Standing::Between(cast) => scratch.casts.push(cast),
+        }
+    }
+    if all <= 0.0 || scratch.casts.is_empty() {
+        return all;
+    }
+    let pair = Pair {
+        from: Chart {
+            origin: x,
+            u: DVec3::ZERO,
+            v: DVec3::ZERO,
+            normal,
+        },
+        to: Chart::of(r, to.normal()),
+        far: false,
+    };
+    let whole = pair.to.ring(r);
+    let casts = std::mem::take(&mut scratch.casts);
+    let outlines = std::mem::take(&mut scratch.outlines);
+    let (area, centroid) = whole.moments();
+    let view = View {
+        pair: &pair,
+        receiver: &whole,
+        receiver_area: area,
+        receiver_middle: pair.to.space(centroid),
+        casts: &casts,
+        outlines: &outlines,
+    };
+    let (hidden, all) = hidden_from(&view, DVec2::ZERO, scratch);
+    scratch.casts = casts;
+    scratch.outlines = outlines;
+    all - hidden
+}
+
 /// Two polygons with axes on each.
 struct Pair {
     from: Chart,

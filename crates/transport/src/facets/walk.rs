@@ -8,10 +8,10 @@
 //!
 //! Sources: pairs of clusters [Hanrahan91], [Teller93] for the blockers they carry.
 
-use super::blockers::{Blocker, Blockers};
+use super::blockers::{Blocker, Blockers, Plane};
 use super::free::{self, Facing};
 use super::parts::{Cluster, Part, Parts};
-use super::shadow::{Asked, Exchange, Scratch, between};
+use super::shadow::{Asked, Exchange, Scratch, between, seen_from};
 use super::shaft::{BlockerTree, Shaft, box_corners, hides};
 use super::{Counts, Triplet};
 use crate::polygon_pair::{exchange_area, facing_parts};
@@ -162,6 +162,79 @@ impl Walk {
         })
     }
 
+    /// Factors from a point with a unit normal to all parts below a cluster, added by row.
+    pub(crate) fn from_point(
+        &mut self,
+        ground: &Ground,
+        x: DVec3,
+        normal: DVec3,
+        found: &mut Vec<(u32, f64)>,
+    ) {
+        self.candidates.clear();
+        self.candidates.extend(ground.tree.root());
+        let all = 0..self.candidates.len();
+        if !ground.parts.clusters.is_empty() {
+            self.point(ground, (x, normal), 0, all, found);
+        }
+    }
+
+    fn point(
+        &mut self,
+        ground: &Ground,
+        (x, normal): (DVec3, DVec3),
+        cluster: u32,
+        candidates: Range<usize>,
+        found: &mut Vec<(u32, f64)>,
+    ) {
+        let c = &ground.parts.clusters[cluster as usize];
+        let horizon = Plane {
+            normal,
+            offset: normal.dot(x),
+        };
+        if box_heights(&horizon, c.low, c.high).1 <= ground.near_m
+            || c.flat.is_some_and(|plane| plane.height(x) <= ground.near_m)
+        {
+            return;
+        }
+        let start = self.candidates.len();
+        let shaft = Shaft::new((x, x), (c.low, c.high), ground.near_m);
+        self.narrow(ground, &shaft, candidates, c.size(), |blocker| {
+            blocker.faces.iter().any(|face| {
+                let (low, high) = box_heights(face, c.low, c.high);
+                let h = face.height(x);
+                let near = ground.near_m;
+                (h >= -near && low >= -near) || (!blocker.is_solid() && h <= near && high <= near)
+            })
+        });
+        let kept = start..self.candidates.len();
+        match c.children {
+            Some(first) if !kept.is_empty() => {
+                self.point(ground, (x, normal), first, kept.clone(), found);
+                self.point(ground, (x, normal), first + 1, kept, found);
+            }
+            _ => {
+                for j in c.run() {
+                    let part = &ground.parts.list[j];
+                    if part.plane.height(x) <= ground.near_m {
+                        continue;
+                    }
+                    let before = self.candidates.len();
+                    let shaft = Shaft::new((x, x), (part.low, part.high), ground.near_m);
+                    self.narrow(ground, &shaft, kept.clone(), 0.0, |_| false);
+                    let corners = &part.polygon.vertices;
+                    let blockers = self.blockers(ground, before, &[x], corners);
+                    self.candidates.truncate(before);
+                    let to = &part.polygon;
+                    let seen = seen_from(x, normal, to, &blockers, ground.near_m, &mut self.scratch);
+                    if seen > 0.0 {
+                        found.push((part.row, seen));
+                    }
+                }
+            }
+        }
+        self.candidates.truncate(start);
+    }
+
     /// Nothing stands between the two.
     fn free(&mut self, ground: &Ground, a: &Cluster, b: &Cluster) {
         let relative = ground.relative();
@@ -230,26 +303,7 @@ impl Walk {
         } else {
             (&p.polygon, &q.polygon)
         };
-        let mut blockers: Vec<&Blocker> = Vec::with_capacity(self.candidates.len() - start);
-        let outside = |blocker: &Blocker, points: &[DVec3]| {
-            blocker
-                .faces
-                .iter()
-                .any(|f| points.iter().all(|&c| f.height(c) >= -ground.near_m))
-        };
-        for &index in &self.candidates[start..] {
-            let blocker = &ground.blockers.list[ground.tree.node(index).index as usize];
-            if !blocker.is_solid()
-                || (above_lid(blocker, &from.vertices, &to.vertices, ground.near_m)
-                    && outside(blocker, &from.vertices)
-                    && outside(blocker, &to.vertices))
-            {
-                blockers.push(blocker);
-            } else {
-                let run = blocker.polygons.start as usize..blocker.polygons.end as usize;
-                blockers.extend(&ground.blockers.polygons[run]);
-            }
-        }
+        let blockers = self.blockers(ground, start, &from.vertices, &to.vertices);
         let relative = ground.relative();
         let free = if facing == Facing::Partly {
             exchange_area(from, to, relative)
@@ -263,11 +317,43 @@ impl Walk {
                 .min(least)
                 .max(least / ground.rows as f64),
             near_m: ground.near_m,
-            sliver: (env("SL", 2.0) * ground.error.sqrt()).min(0.05),
-            far: env("FAR", 0.06) / ground.error.sqrt(),
-            small: env("SM", 5.0) * ground.error.sqrt(),
+            sliver: (2.0 * ground.error.sqrt()).min(0.05),
+            far: 0.06 / ground.error.sqrt(),
+            small: 5.0 * ground.error.sqrt(),
         };
         between(from, to, &blockers, &asked, &mut self.scratch)
+    }
+
+    /// The candidates from `start` on as two polygons, or a point and one, meet them: solids as
+    /// such where both lie outside of them.
+    fn blockers<'g>(
+        &self,
+        ground: &'g Ground,
+        start: usize,
+        from: &[DVec3],
+        to: &[DVec3],
+    ) -> Vec<&'g Blocker> {
+        let outside = |blocker: &Blocker, points: &[DVec3]| {
+            blocker
+                .faces
+                .iter()
+                .any(|f| points.iter().all(|&c| f.height(c) >= -ground.near_m))
+        };
+        let mut blockers = Vec::with_capacity(self.candidates.len() - start);
+        for &index in &self.candidates[start..] {
+            let blocker = &ground.blockers.list[ground.tree.node(index).index as usize];
+            if !blocker.is_solid()
+                || (above_lid(blocker, from, to, ground.near_m)
+                    && outside(blocker, from)
+                    && outside(blocker, to))
+            {
+                blockers.push(blocker);
+            } else {
+                let run = blocker.polygons.start as usize..blocker.polygons.end as usize;
+                blockers.extend(&ground.blockers.polygons[run]);
+            }
+        }
+        blockers
     }
 
     #[inline]
@@ -312,7 +398,7 @@ fn sees(a: &Cluster, b: &Cluster, near_m: f64) -> bool {
 }
 
 /// Heights of a box over a plane.
-fn box_heights(plane: &super::blockers::Plane, low: DVec3, high: DVec3) -> (f64, f64) {
+fn box_heights(plane: &Plane, low: DVec3, high: DVec3) -> (f64, f64) {
     let middle = plane.height(0.5 * (low + high));
     let reach = (0.5 * (high - low)).dot(plane.normal.abs());
     (middle - reach, middle + reach)
@@ -344,9 +430,4 @@ fn above_lid(blocker: &Blocker, from: &[DVec3], to: &[DVec3], near_m: f64) -> bo
         let above = |points: &[DVec3]| points.iter().all(|&p| lid.height(p) <= near_m);
         above(from) && above(to)
     })
-}
-
-fn env(name: &str, or: f64) -> f64 {
-    thread_local!(static V: std::cell::RefCell<std::collections::HashMap<String, f64>> = Default::default());
-    V.with(|v| *v.borrow_mut().entry(name.into()).or_insert_with(|| std::env::var(name).ok().and_then(|s| s.parse().ok()).unwrap_or(or)))
 }

@@ -1,0 +1,362 @@
+//! The report beside a matrix of view factors: what was promised, what was measured.
+
+use super::zones::{Table, Zones};
+use super::{Asked, FactorsJob};
+use crate::stage::{Clock, Stage};
+use luxel_core::{Facets, SparseRows};
+use luxel_io::Precision;
+use luxel_transport::closure_repair::{Repair, RepairOutcome};
+use luxel_transport::facets::{Counts, ExchangeMatrix};
+use serde::Serialize;
+
+/// All figures, in the order of the file. Areas in m², factors without unit, times in seconds.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct FactorsReport {
+    /// Name and version of the program.
+    pub program: String,
+    /// Name of the scene.
+    pub scene: String,
+    /// Rows of the scene.
+    pub rows: usize,
+    /// Convex parts that they are made of.
+    pub parts: usize,
+    /// Parts that only block.
+    pub obstructions: usize,
+    /// What stands in the way after merging; a solid counts once.
+    pub blockers: usize,
+    /// Area of all rows, m².
+    pub area_m2: f64,
+    /// Promise per factor.
+    pub error_asked: f64,
+    /// Mean over rows, by area, of the estimated error of a row's factors together.
+    pub error_stated: f64,
+    /// Whether all rows that were asked for are there.
+    pub complete: bool,
+    /// Rows that are there.
+    pub finished_rows: usize,
+    /// Factors above zero.
+    pub entries: u64,
+    /// |1 - sum over a row|, where a scene is closed: mean, and the largest.
+    pub closure_mean: f64,
+    /// Largest, and its row.
+    pub closure_worst: f64,
+    /// Row of it.
+    pub closure_worst_row: usize,
+    /// Largest sum over a row. Above 1 by no more than errors allow.
+    pub row_sum_largest: f64,
+    /// Largest |A_i F_ij - A_j F_ji| over the larger of both, as written.
+    pub reciprocity_worst: f64,
+    /// Largest share that a row lost to --threshold.
+    pub lost_worst: f64,
+    /// Mean of it.
+    pub lost_mean: f64,
+    /// How pairs were settled, by this run.
+    pub pairs: PairCounts,
+    /// Closure repair, where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub repair: Option<RepairReport>,
+    /// Zones, where there are any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zones: Option<Vec<ZoneReport>>,
+    /// Factors between zones: row by row, where rows are zones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zone_factors: Option<Vec<Vec<f64>>>,
+    /// Wall seconds by stage.
+    pub seconds: Vec<(String, f64)>,
+    /// Processor seconds of all stages.
+    pub cpu_seconds: f64,
+    /// Largest memory of the process, bytes.
+    pub memory_peak_bytes: u64,
+    /// Size of the matrix as written.
+    pub bytes: u64,
+    /// What was odd in the input.
+    pub warnings: Vec<String>,
+    /// Sum of the factors of each row, where rows are facets or points.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub row_sum: Vec<f64>,
+    /// Area of each row, m².
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub row_area_m2: Vec<f64>,
+    /// Name of each row, if they have any.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub row_name: Vec<String>,
+    #[serde(skip)]
+    single: bool,
+}
+
+/// Pairs of convex parts by how they were settled.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct PairCounts {
+    /// Nothing between them.
+    pub free: u64,
+    /// In clusters that one blocker hides from each other.
+    pub hidden_in_groups: u64,
+    /// Something between them; worked out singly.
+    pub shadowed: u64,
+    /// Pieces that senders were cut into for those.
+    pub pieces: u64,
+    /// Points from which shadows were cut.
+    pub points: u64,
+}
+
+/// What closure repair did.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RepairReport {
+    /// `closed`, `two-sided` or `not converged`.
+    pub outcome: String,
+    /// Whether the factors as written are the repaired ones.
+    pub applied: bool,
+    /// Mean |1 - sum| before and after.
+    pub closure_mean: [f64; 2],
+    /// Largest |1 - sum| before and after.
+    pub closure_worst: [f64; 2],
+    /// Largest relative change of a factor.
+    pub largest_change: f64,
+    /// Largest sum over a row of the changes of its factors.
+    pub largest_row_change: f64,
+    /// Pairs that would have become negative; the repair is then not applied.
+    pub negative_pairs: u64,
+    /// Steps of the iteration.
+    pub steps: u32,
+}
+
+/// A zone.
+#[derive(Clone, Debug, Serialize)]
+pub struct ZoneReport {
+    /// Its name.
+    pub name: String,
+    /// Rows in it.
+    pub rows: usize,
+    /// Their area, m².
+    pub area_m2: f64,
+}
+
+/// Zones up to which their factors are put into the report.
+const FEW_ZONES: usize = 64;
+
+impl FactorsReport {
+    pub(super) fn new(job: &FactorsJob, facets: &Facets, asked: &Asked) -> FactorsReport {
+        let obstructions = facets.parts.iter().filter(|p| p.row == Facets::NO_ROW).count();
+        FactorsReport {
+            program: format!("luxel {}", env!("CARGO_PKG_VERSION")),
+            scene: facets.name.clone(),
+            rows: facets.rows.len(),
+            parts: facets.parts.len() - obstructions,
+            obstructions,
+            area_m2: facets.areas().iter().sum(),
+            error_asked: asked.error,
+            single: job.precision == Precision::Single,
+            ..FactorsReport::default()
+        }
+    }
+
+    pub(super) fn counts(&mut self, counts: &Counts, areas: &[f64]) {
+        self.pairs = PairCounts {
+            free: counts.free,
+            hidden_in_groups: counts.hidden,
+            shadowed: counts.shadowed,
+            pieces: counts.pieces,
+            points: counts.points,
+        };
+        // An error of G counts in both rows.
+        let area: f64 = areas.iter().sum();
+        self.error_stated = 2.0 * counts.error / area.max(f64::MIN_POSITIVE);
+    }
+
+    /// Measures the matrix before any repair.
+    pub(super) fn before(&mut self, matrix: &ExchangeMatrix, keep: &[bool], lost: &[f64]) {
+        self.measure(matrix, keep);
+        let kept = keep.iter().filter(|&&k| k).count().max(1) as f64;
+        let losses = || lost.iter().zip(keep).filter(|l| *l.1).map(|l| *l.0);
+        self.lost_mean = losses().sum::<f64>() / kept;
+        self.lost_worst = losses().fold(0.0, f64::max);
+    }
+
+    fn measure(&mut self, matrix: &ExchangeMatrix, keep: &[bool]) {
+        self.row_sum = matrix.row_sums();
+        (self.entries, self.closure_mean, self.closure_worst) = (0, 0.0, 0.0);
+        (self.row_sum_largest, self.reciprocity_worst) = (0.0, 0.0);
+        let written = |f: f64| if self.single { f as f32 as f64 } else { f };
+        let mut counted = 0;
+        for i in 0..keep.len() {
+            if !keep[i] {
+                self.row_sum[i] = 0.0;
+                continue;
+            }
+            let run = matrix.offsets[i]..matrix.offsets[i + 1];
+            self.entries += run.len() as u64;
+            let (a, sum) = (matrix.areas[i], self.row_sum[i]);
+            if a <= 0.0 {
+                continue;
+            }
+            let gap = (1.0 - sum).abs();
+            self.closure_mean += gap;
+            counted += 1;
+            if gap > self.closure_worst {
+                (self.closure_worst, self.closure_worst_row) = (gap, i);
+            }
+            self.row_sum_largest = self.row_sum_largest.max(sum);
+            for k in run {
+                let (j, g) = (matrix.columns[k] as usize, matrix.exchange[k] as f64);
+                let b = matrix.areas[j];
+                let (there, back) = (a * written(g / a), b * written(g / b));
+                let defect = (there - back).abs() / there.max(back);
+                self.reciprocity_worst = self.reciprocity_worst.max(defect);
+            }
+        }
+        self.closure_mean /= f64::from(counted.max(1));
+    }
+
+    pub(super) fn repaired(&mut self, repair: &Repair, _: &ExchangeMatrix) {
+        self.repair = Some(RepairReport {
+            outcome: match &repair.outcome {
+                RepairOutcome::Closed => "closed",
+                RepairOutcome::TwoSided { .. } => "two-sided",
+                RepairOutcome::NotConverged { .. } => "not converged",
+            }
+            .to_string(),
+            applied: false,
+            closure_mean: [repair.before.mean, repair.after.mean],
+            closure_worst: [repair.before.worst, repair.after.worst],
+            largest_change: repair.largest_change,
+            largest_row_change: repair.largest_row_change,
+            negative_pairs: repair.negative.as_ref().map_or(0, |n| n.pairs),
+            steps: repair.steps,
+        });
+    }
+
+    /// Measures the matrix as it is after the repair.
+    pub(super) fn applied(&mut self, matrix: &ExchangeMatrix) {
+        self.measure(matrix, &vec![true; matrix.areas.len()]);
+        if let Some(repair) = &mut self.repair {
+            repair.applied = true;
+            repair.closure_mean[1] = self.closure_mean;
+            repair.closure_worst[1] = self.closure_worst;
+        }
+    }
+
+    pub(super) fn facets(&mut self, facets: &Facets, areas: &[f64]) {
+        self.row_area_m2 = areas.to_vec();
+        if facets.rows.iter().any(|r| !r.name.is_empty()) {
+            self.row_name = facets.rows.iter().map(|r| r.name.clone()).collect();
+        }
+    }
+
+    pub(super) fn zones(&mut self, zones: &Zones, areas: &[f64], table: &Table, from: bool) {
+        let zone_areas = zones.areas(areas);
+        let list = zones.names.iter().enumerate().map(|(k, name)| ZoneReport {
+            name: name.clone(),
+            rows: zones.of.iter().filter(|&&z| z as usize == k).count(),
+            area_m2: zone_areas[k],
+        });
+        self.zones = Some(list.collect());
+        if from {
+            self.row_sum.clear();
+            if zones.names.len() <= FEW_ZONES {
+                self.zone_factors = Some(dense(table));
+            }
+        }
+    }
+
+    pub(super) fn points(&mut self, table: &Table, zones: Option<&Zones>, areas: &[f64]) {
+        self.entries = table.entries();
+        let mut entries = Vec::new();
+        for row in 0..table.shape()[0] {
+            table.row(row, &mut entries);
+            self.row_sum.push(entries.iter().map(|e| e.1).sum());
+        }
+        self.row_sum_largest = self.row_sum.iter().copied().fold(0.0, f64::max);
+        if let Some(zones) = zones {
+            self.zones(zones, areas, table, false);
+        }
+    }
+
+    pub(super) fn seconds(&mut self, clock: &Clock) {
+        let spent = |stage: &Stage| (stage.name().to_string(), clock.of(*stage).wall);
+        self.seconds = Stage::ALL
+            .iter()
+            .map(spent)
+            .filter(|(_, wall)| *wall > 0.0)
+            .collect();
+        self.cpu_seconds = Stage::ALL.iter().map(|&s| clock.of(s).cpu).sum();
+    }
+
+    /// A short table for people.
+    pub fn table(&self) -> String {
+        let mut out = String::new();
+        let mut line = |name: &str, value: String| {
+            out.push_str(&format!("{name:>22}  {value}\n"));
+        };
+        line(
+            "facets",
+            format!("{} ({} blockers after merging)", self.rows, self.blockers),
+        );
+        line("factors above zero", self.entries.to_string());
+        if !self.row_area_m2.is_empty() || self.zones.is_some() {
+            line(
+                "closure |1 - sum|",
+                format!(
+                    "mean {:.1e}, largest {:.1e} (row {})",
+                    self.closure_mean, self.closure_worst, self.closure_worst_row
+                ),
+            );
+            line("reciprocity defect", format!("{:.1e}", self.reciprocity_worst));
+            line(
+                "error",
+                format!("asked {:.0e}, stated {:.1e}", self.error_asked, self.error_stated),
+            );
+        }
+        line("largest row sum", format!("{:.7}", self.row_sum_largest));
+        if self.lost_worst > 0.0 {
+            line(
+                "lost to threshold",
+                format!("mean {:.1e}, largest {:.1e}", self.lost_mean, self.lost_worst),
+            );
+        }
+        if let Some(repair) = &self.repair {
+            line(
+                "closure repair",
+                format!(
+                    "{}, {}: factors change by up to {:.1e} of themselves, rows by {:.1e}",
+                    repair.outcome,
+                    if repair.applied { "applied" } else { "not applied" },
+                    repair.largest_change,
+                    repair.largest_row_change
+                ),
+            );
+        }
+        if let (Some(zones), Some(factors)) = (&self.zones, &self.zone_factors)
+            && zones.len() <= 12
+        {
+            let name = |z: &ZoneReport| z.name.chars().take(12).collect::<String>();
+            let heads: String = zones.iter().map(|z| format!("{:>13}", name(z))).collect();
+            out.push_str(&format!("\n{:>14}{heads}\n", "from \\ to"));
+            for (zone, row) in zones.iter().zip(factors) {
+                let cells: String = row.iter().map(|f| format!("{f:>13.7}")).collect();
+                out.push_str(&format!("{:>14}{cells}\n", name(zone)));
+            }
+            out.push('\n');
+        }
+        let wall: f64 = self.seconds.iter().map(|s| s.1).sum();
+        out.push_str(&format!(
+            "{:>22}  {wall:.2} s, {:.2} processor seconds, {} MB\n",
+            "time and memory",
+            self.cpu_seconds,
+            self.memory_peak_bytes / 1_000_000
+        ));
+        out
+    }
+}
+
+fn dense(table: &Table) -> Vec<Vec<f64>> {
+    let [rows, columns] = table.shape();
+    let mut entries = Vec::new();
+    (0..rows)
+        .map(|row| {
+            table.row(row, &mut entries);
+            let mut out = vec![0.0; columns];
+            entries.iter().for_each(|&(j, f)| out[j as usize] = f);
+            out
+        })
+        .collect()
+}

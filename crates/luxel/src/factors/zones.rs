@@ -1,0 +1,335 @@
+//! Zones: facets taken together, by object, by material or by name.
+
+use luxel_core::{Facets, SparseRows};
+use std::collections::HashMap;
+
+/// How facets are put together.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ZoneWishes {
+    /// Each object or each material a zone.
+    pub by: Option<By>,
+    /// `NAME=a,b,10..20`: objects, materials, names of facets and runs of rows.
+    pub groups: Vec<String>,
+}
+
+/// What makes a zone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// OBJ `o` and `g`, STL `solid`, glTF node.
+    Object,
+    /// OBJ `usemtl`, glTF material.
+    Material,
+}
+
+/// Which zone each row belongs to.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Zones {
+    /// Names, in the order in which they were asked for or met.
+    pub names: Vec<String>,
+    /// Zone of each row.
+    pub of: Vec<u32>,
+}
+
+/// Name of what no group names.
+const REST: &str = "rest";
+
+impl Zones {
+    /// The zones that are wished for; none without a wish. Rows that no group names make one
+    /// zone of their own, or stay in the zones of `by`.
+    pub fn new(facets: &Facets, wishes: &ZoneWishes) -> Result<Option<Zones>, String> {
+        if wishes.by.is_none() && wishes.groups.is_empty() {
+            return Ok(None);
+        }
+        const OPEN: u32 = u32::MAX;
+        let mut zones = Zones {
+            names: Vec::new(),
+            of: vec![OPEN; facets.rows.len()],
+        };
+        for wish in &wishes.groups {
+            let (name, members) = wish
+                .split_once('=')
+                .filter(|(name, members)| !name.trim().is_empty() && !members.trim().is_empty())
+                .ok_or_else(|| {
+                    format!("--group {wish}: expected NAME=a,b (objects, materials, facets or rows 0..10)")
+                })?;
+            let zone = zones.named(name.trim());
+            for member in members.split(',').map(str::trim) {
+                zones.take(facets, member, zone).map_err(|e| format!("--group {wish}: {e}"))?;
+            }
+        }
+        let mut by_name: HashMap<u32, u32> = HashMap::new();
+        for row in 0..facets.rows.len() {
+            if zones.of[row] != OPEN {
+                continue;
+            }
+            let facet = &facets.rows[row];
+            zones.of[row] = match wishes.by {
+                None => zones.named(REST),
+                Some(by) => {
+                    let (key, names) = match by {
+                        By::Object => (facet.object, &facets.objects),
+                        By::Material => (facet.material, &facets.materials),
+                    };
+                    match by_name.get(&key) {
+                        Some(&zone) => zone,
+                        None => {
+                            let name = names.get(key as usize).filter(|n| !n.is_empty());
+                            let zone = zones.named(name.map_or("(unnamed)", |n| n));
+                            by_name.insert(key, zone);
+                            zone
+                        }
+                    }
+                }
+            };
+        }
+        Ok(Some(zones))
+    }
+
+    fn named(&mut self, name: &str) -> u32 {
+        let known = self.names.iter().position(|n| n == name);
+        known.unwrap_or_else(|| {
+            self.names.push(name.to_string());
+            self.names.len() - 1
+        }) as u32
+    }
+
+    fn take(&mut self, facets: &Facets, member: &str, zone: u32) -> Result<(), String> {
+        let mut found = false;
+        let run = parse_rows(member).ok();
+        let objects: Vec<bool> = facets.objects.iter().map(|o| o == member).collect();
+        let materials: Vec<bool> = facets.materials.iter().map(|m| m == member).collect();
+        let holds = |list: &[bool], k: u32| list.get(k as usize).copied().unwrap_or(false);
+        for row in 0..facets.rows.len() {
+            let facet = &facets.rows[row];
+            let named = (!facet.name.is_empty() && facet.name == member)
+                || holds(&objects, facet.object)
+                || holds(&materials, facet.material);
+            if named || run.as_ref().is_some_and(|r| r.contains(&(row as u32))) {
+                found = true;
+                if self.of[row] != u32::MAX && self.of[row] != zone {
+                    return Err(format!(
+                        "expected each facet in one group, found row {row} in '{}' as well",
+                        self.names[self.of[row] as usize]
+                    ));
+                }
+                self.of[row] = zone;
+            }
+        }
+        if found {
+            return Ok(());
+        }
+        let some: Vec<&str> = facets
+            .objects
+            .iter()
+            .chain(&facets.materials)
+            .map(String::as_str)
+            .filter(|n| !n.is_empty())
+            .take(12)
+            .collect();
+        Err(format!(
+            "expected an object, a material, a facet or rows like 0..10, found '{member}'; there are {}",
+            if some.is_empty() { "no names".to_string() } else { some.join(", ") }
+        ))
+    }
+
+    /// Area of each zone, m².
+    pub fn areas(&self, row_areas: &[f64]) -> Vec<f64> {
+        let mut areas = vec![0.0; self.names.len()];
+        for (zone, area) in self.of.iter().zip(row_areas) {
+            areas[*zone as usize] += area;
+        }
+        areas
+    }
+}
+
+/// Rows `a..b`, counted from 0, without b; `a..` to the end; `a` alone.
+pub fn parse_rows(text: &str) -> Result<std::ops::Range<u32>, String> {
+    let wrong = || format!("expected rows as 0..100 (from 0, without the last), 100.. or 7, found '{text}'");
+    let number = |t: &str| t.trim().parse::<u32>().map_err(|_| wrong());
+    let run = match text.split_once("..") {
+        None => {
+            let row = number(text)?;
+            row..row.checked_add(1).ok_or_else(wrong)?
+        }
+        Some((a, b)) => {
+            let start = if a.trim().is_empty() { 0 } else { number(a)? };
+            let end = if b.trim().is_empty() {
+                u32::MAX
+            } else {
+                number(b)?
+            };
+            start..end
+        }
+    };
+    if run.start >= run.end {
+        return Err(wrong());
+    }
+    Ok(run)
+}
+
+/// A stored matrix with few columns a row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Table {
+    columns: usize,
+    rows: Vec<Vec<(u32, f64)>>,
+}
+
+impl Table {
+    /// Of rows in order, with ascending columns.
+    pub fn new(columns: usize, rows: Vec<Vec<(u32, f64)>>) -> Table {
+        Table { columns, rows }
+    }
+
+    /// Factors from each kept row, or each zone, to each zone.
+    ///
+    /// `keep` says which rows are complete; zones with others are left empty.
+    pub fn of_zones(
+        factors: &dyn SparseRows,
+        areas: &[f64],
+        zones: &Zones,
+        from_zones: bool,
+        keep: &[bool],
+    ) -> Table {
+        let n = zones.names.len();
+        let mut entries = Vec::new();
+        let to_zones = |sums: &[f64]| -> Vec<(u32, f64)> {
+            let above = |(zone, &f): (usize, &f64)| (f > 0.0).then_some((zone as u32, f));
+            sums.iter().enumerate().filter_map(above).collect()
+        };
+        let rows = areas.len();
+        if !from_zones {
+            let mut sums = vec![0.0; n];
+            let rows = (0..rows)
+                .map(|row| {
+                    sums.fill(0.0);
+                    if keep[row] {
+                        factors.row(row, &mut entries);
+                        for &(j, f) in &entries {
+                            sums[zones.of[j as usize] as usize] += f;
+                        }
+                    }
+                    to_zones(&sums)
+                })
+                .collect();
+            return Table::new(n, rows);
+        }
+        let zone_areas = zones.areas(areas);
+        let mut sums = vec![vec![0.0; n]; n];
+        let mut complete = vec![true; n];
+        for row in 0..rows {
+            let zone = zones.of[row] as usize;
+            if !keep[row] {
+                complete[zone] = false;
+                continue;
+            }
+            factors.row(row, &mut entries);
+            for &(j, f) in &entries {
+                sums[zone][zones.of[j as usize] as usize] += f * areas[row];
+            }
+        }
+        let rows = sums
+            .iter_mut()
+            .enumerate()
+            .map(|(zone, sums)| {
+                if !complete[zone] {
+                    return Vec::new();
+                }
+                sums.iter_mut().for_each(|s| *s /= zone_areas[zone]);
+                to_zones(sums)
+            })
+            .collect();
+        Table::new(n, rows)
+    }
+}
+
+impl SparseRows for Table {
+    fn shape(&self) -> [usize; 2] {
+        [self.rows.len(), self.columns]
+    }
+
+    fn entries(&self) -> u64 {
+        self.rows.iter().map(|r| r.len() as u64).sum()
+    }
+
+    fn row(&self, row: usize, entries: &mut Vec<(u32, f64)>) {
+        entries.clear();
+        entries.extend_from_slice(&self.rows[row]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use luxel_core::Facet;
+
+    fn facets() -> Facets {
+        let row = |name: &str, object, material| Facet {
+            name: name.into(),
+            object,
+            material,
+        };
+        Facets {
+            rows: vec![row("a", 0, 0), row("b", 0, 1), row("c", 1, 1), row("", 1, 0)],
+            objects: vec!["shell".into(), "box".into()],
+            materials: vec!["white".into(), "black".into()],
+            ..Facets::default()
+        }
+    }
+
+    #[test]
+    fn wishes_become_zones() {
+        let wish = |by, groups: &[&str]| ZoneWishes {
+            by,
+            groups: groups.iter().map(|g| g.to_string()).collect(),
+        };
+        let zones = |w| Zones::new(&facets(), &w);
+        assert_eq!(zones(wish(None, &[])), Ok(None));
+        let by = zones(wish(Some(By::Material), &[])).unwrap().unwrap();
+        assert_eq!((by.names, by.of), (vec!["white".into(), "black".into()], vec![0, 1, 1, 0]));
+        let mixed = zones(wish(Some(By::Object), &["lid=c"])).unwrap().unwrap();
+        assert_eq!(mixed.of, [1, 1, 0, 2]);
+        let rest = zones(wish(None, &["x=shell, 3"])).unwrap().unwrap();
+        assert_eq!((rest.names, rest.of), (vec!["x".into(), "rest".into()], vec![0, 0, 1, 0]));
+        for bad in ["x", "=a", "x=", "x=nobody", "x=9..4"] {
+            assert!(zones(wish(None, &[bad])).is_err(), "{bad}");
+        }
+        let twice = zones(wish(None, &["x=a", "y=shell"])).unwrap_err();
+        assert!(twice.contains("row 0 in 'x'"), "{twice}");
+    }
+
+    #[test]
+    fn rows_are_runs() {
+        assert_eq!(parse_rows("3..7"), Ok(3..7));
+        assert_eq!(parse_rows("3.."), Ok(3..u32::MAX));
+        assert_eq!(parse_rows("..7"), Ok(0..7));
+        assert_eq!(parse_rows("4"), Ok(4..5));
+        for bad in ["", "a", "7..3", "3..3", "-1..2", "1..2..3"] {
+            assert!(parse_rows(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn zones_add_what_their_rows_have() {
+        // Areas 1, 3 and 2; F by hand, G symmetric.
+        let rows = vec![
+            vec![(1, 0.6), (2, 0.4)],
+            vec![(0, 0.2), (2, 0.1)],
+            vec![(0, 0.2), (1, 0.15)],
+        ];
+        let (factors, areas) = (Table::new(3, rows), [1.0, 3.0, 2.0]);
+        let zones = Zones {
+            names: vec!["x".into(), "y".into()],
+            of: vec![0, 0, 1],
+        };
+        let both = Table::of_zones(&factors, &areas, &zones, true, &[true; 3]);
+        let mut row = Vec::new();
+        both.row(0, &mut row);
+        // (0.6 + 3 x 0.2) / 4 and (0.4 + 3 x 0.1) / 4.
+        assert!((row[0].1 - 0.3).abs() < 1e-15 && (row[1].1 - 0.175).abs() < 1e-15);
+        let single = Table::of_zones(&factors, &areas, &zones, false, &[true, false, true]);
+        single.row(1, &mut row);
+        assert!(row.is_empty());
+        single.row(2, &mut row);
+        assert!(row.len() == 1 && (row[0].1 - 0.35).abs() < 1e-15);
+    }
+}
