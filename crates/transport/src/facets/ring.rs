@@ -190,6 +190,18 @@ impl Ring {
         }
     }
 
+    /// Whether a line has corners on both sides.
+    #[inline]
+    pub(crate) fn is_crossed(&self, line: Line) -> bool {
+        let (mut above, mut below) = (false, false);
+        for &c in self.corners() {
+            let h = line.at(c);
+            above |= h > 0.0;
+            below |= h < 0.0;
+        }
+        above && below
+    }
+
     /// What is where the line is above zero, and what is where it is below.
     pub(crate) fn split(&self, line: Line) -> (Ring, Ring) {
         let (mut above, mut below) = (*self, *self);

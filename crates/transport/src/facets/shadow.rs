@@ -31,12 +31,12 @@ use std::ops::Range;
 
 /// Critical lines along which a sender is cut, at most.
 const MOST_CUTS: usize = 64;
-/// Pieces that cutting may make, at most; more lines are then left to halving.
-const MOST_CELLS: usize = 400;
+/// Pieces that cutting may make, about; more lines are then left to halving.
+const MOST_PIECES: usize = 400;
 /// Points that a pair may spend on halving.
 const MOST_POINTS: u64 = 20_000;
 /// Overlapping shadows are taken apart into at most so many pieces at one point.
-const MOST_PIECES: usize = 64;
+const MOST_RESTS: usize = 64;
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
 struct Outlines {
@@ -58,7 +58,7 @@ pub(crate) struct Exchange {
 #[derive(Default)]
 pub(crate) struct Scratch {
     cells: Vec<Ring>,
-    next: Vec<Ring>,
+    found: Vec<Found>,
     shadows: Vec<Ring>,
     pieces: Vec<Ring>,
     rest: Vec<Ring>,
@@ -540,34 +540,39 @@ fn push(cuts: &mut Vec<Line>, line: Line) {
     }
 }
 
-/// A piece of the sender with what the rule found on it.
-struct Cell {
-    ring: Ring,
+/// What the rule found on a piece of the sender, m².
+#[derive(Clone, Copy, Default)]
+struct Found {
     hidden: f64,
     all: f64,
     error: f64,
-    order: u32,
 }
 
-impl PartialEq for Cell {
+/// A piece in the queue: the largest error first, the older first among equals.
+struct Waiting {
+    error: f64,
+    piece: usize,
+}
+
+impl PartialEq for Waiting {
     fn eq(&self, other: &Self) -> bool {
-        self.order == other.order
+        self.cmp(other) == Ordering::Equal
     }
 }
 
-impl Eq for Cell {}
+impl Eq for Waiting {}
 
-impl PartialOrd for Cell {
+impl PartialOrd for Waiting {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Cell {
+impl Ord for Waiting {
     fn cmp(&self, other: &Self) -> Ordering {
         self.error
             .total_cmp(&other.error)
-            .then(other.order.cmp(&self.order))
+            .then(other.piece.cmp(&self.piece))
     }
 }
 
@@ -583,89 +588,82 @@ struct View<'a> {
 
 /// Rule of few nodes on each piece of the sender; the worst pieces are halved.
 fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch) -> Exchange {
-    let mut cells = std::mem::take(&mut scratch.cells);
-    let mut next = std::mem::take(&mut scratch.next);
-    cells.clear();
-    cells.push(start);
+    let mut pieces = std::mem::take(&mut scratch.cells);
+    let mut found = std::mem::take(&mut scratch.found);
+    pieces.clear();
+    pieces.push(start);
     let small_m2 = asked.small * start.area();
     let mut complete = scratch.cuts.len() < MOST_CUTS;
     for &line in &scratch.cuts {
-        if cells.len() > MOST_CELLS {
+        if pieces.len() > MOST_PIECES {
             complete = false;
             break;
         }
-        next.clear();
-        for cell in &cells {
-            let (front, behind) = cell.split(line);
-            let (a, b) = (front.area(), behind.area());
-            if a.min(b) <= asked.sliver * (a + b) {
-                next.push(*cell);
-            } else {
-                next.extend([front, behind]);
-            }
-        }
-        std::mem::swap(&mut cells, &mut next);
-    }
-    let (mut hidden, mut all, mut error) = (0.0, 0.0, 0.0);
-    let before = scratch.counts[2];
-    let mut queue = BinaryHeap::new();
-    let mut order = 0;
-    let mut enter = |ring: Ring, unsure: bool, scratch: &mut Scratch| {
-        order += 1;
-        let mut cell = Cell {
-            ring,
-            hidden: 0.0,
-            all: 0.0,
-            error: 0.0,
-            order,
-        };
-        if !unsure && ring.area() <= small_m2 {
-            // Too small for its kinks and its curvature to matter.
-            let (hidden, all) = hidden_from(view, ring.middle(), scratch);
-            let area = ring.area();
-            (cell.hidden, cell.all) = (hidden * area, all * area);
-            scratch.counts[2] += 1;
-        } else {
-            measure(view, &mut cell, unsure, scratch);
-        }
-        cell
-    };
-    for &ring in &cells {
-        let cell = enter(ring, !complete, scratch);
-        hidden += cell.hidden;
-        all += cell.all;
-        error += cell.error;
-        if cell.error > 0.0 {
-            queue.push(cell);
-        }
-    }
-    scratch.counts[1] += cells.len() as u64;
-    scratch.cells = cells;
-    scratch.next = next;
-    // Errors of the rule count in units of the free value.
-    let scale = asked.free / f64::max(all, f64::MIN_POSITIVE);
-    while error * scale > asked.tolerance && scratch.counts[2] - before < MOST_POINTS {
-        let Some(cell) = queue.pop() else { break };
-        hidden -= cell.hidden;
-        all -= cell.all;
-        error -= cell.error;
-        let (one, two) = cell.ring.halves();
-        for half in [one, two] {
-            if half.is_empty() {
+        for k in 0..pieces.len() {
+            if !pieces[k].is_crossed(line) {
                 continue;
             }
-            // Halves of a piece in doubt that agree are trusted.
-            let half = enter(half, false, scratch);
-            hidden += half.hidden;
-            all += half.all;
-            error += half.error;
-            scratch.counts[1] += 1;
-            if half.error > 0.0 {
-                queue.push(half);
+            let (front, behind) = pieces[k].split(line);
+            let (a, b) = (front.area(), behind.area());
+            if a.min(b) > asked.sliver * (a + b) {
+                pieces[k] = front;
+                pieces.push(behind);
             }
         }
     }
-    // Differences of sums leave rounding behind.
+    let before = scratch.counts[2];
+    found.clear();
+    let mut sum = Found::default();
+    for piece in &pieces {
+        let here = measure(view, piece, small_m2, !complete, scratch);
+        sum.hidden += here.hidden;
+        sum.all += here.all;
+        sum.error += here.error;
+        found.push(here);
+    }
+    // Errors of the rule count in units of the free value.
+    let scale = asked.free / sum.all.max(f64::MIN_POSITIVE);
+    if sum.error * scale > asked.tolerance {
+        let waiting = |(piece, f): (usize, &Found)| Waiting {
+            error: f.error,
+            piece,
+        };
+        let mut queue: BinaryHeap<Waiting> = found.iter().enumerate().map(waiting).collect();
+        while sum.error * scale > asked.tolerance && scratch.counts[2] - before < MOST_POINTS {
+            let Some(Waiting { piece, error }) = queue.pop() else {
+                break;
+            };
+            if error <= 0.0 {
+                break;
+            }
+            let (one, two) = pieces[piece].halves();
+            sum.error -= error;
+            let second = pieces.len();
+            pieces[piece] = one;
+            pieces.push(two);
+            found.push(Found::default());
+            for piece in [piece, second] {
+                // Halves of a piece in doubt that agree are trusted.
+                found[piece] = measure(view, &pieces[piece], 0.0, false, scratch);
+                sum.error += found[piece].error;
+                queue.push(Waiting {
+                    error: found[piece].error,
+                    piece,
+                });
+            }
+        }
+        // Again in a fixed order: adding and taking away leaves rounding behind.
+        sum = found.iter().fold(Found::default(), |sum, f| Found {
+            hidden: sum.hidden + f.hidden,
+            all: sum.all + f.all,
+            error: sum.error + f.error,
+        });
+    }
+    scratch.counts[1] += pieces.len() as u64;
+    scratch.cells = pieces;
+    scratch.found = found;
+    let Found { hidden, all, error } = sum;
+    // Up to rounding of the sums.
     if hidden >= all * (1.0 - 1e-12) {
         return Exchange::default();
     }
@@ -687,26 +685,48 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     }
 }
 
-/// Factors of a cell times area, by its rule; the error from one node in its middle.
-fn measure(view: &View<'_>, cell: &mut Cell, unsure: bool, scratch: &mut Scratch) {
-    let (mut hidden, mut all, mut points) = (0.0, 0.0, 0);
-    cell.ring.nodes(|p, w| {
+/// Factors of a piece times area, by its rule; the error from one node in its middle.
+fn measure(
+    view: &View<'_>,
+    piece: &Ring,
+    small_m2: f64,
+    unsure: bool,
+    scratch: &mut Scratch,
+) -> Found {
+    let (area, centroid) = piece.moments();
+    if area <= 0.0 {
+        return Found::default();
+    }
+    if !unsure && area <= small_m2 {
+        // Too small for its kinks and its curvature to matter; what is linear is exact.
+        scratch.counts[2] += 1;
+        let (hidden, all) = hidden_from(view, centroid, scratch);
+        return Found {
+            hidden: hidden * area,
+            all: all * area,
+            error: 0.0,
+        };
+    }
+    let mut found = Found::default();
+    let mut points = 0;
+    piece.nodes(|p, w| {
         let (h, o) = hidden_from(view, p, scratch);
-        hidden += w * h;
-        all += w * o;
+        found.hidden += w * h;
+        found.all += w * o;
         points += 1;
     });
-    (cell.hidden, cell.all) = (hidden, all);
-    if hidden > 0.0 && hidden < all * (1.0 - 1e-12) {
-        let (h, o) = hidden_from(view, cell.ring.middle(), scratch);
+    if found.hidden > 0.0 && found.hidden < found.all * (1.0 - 1e-12) {
+        let (h, o) = hidden_from(view, centroid, scratch);
         points += 1;
         // The rule is two orders better than one node: a fifth of the difference bounds it
         // with room to spare. What both get wrong of the free part is no error of the shadow.
-        cell.error = 0.2 * (hidden - all * h / o.max(f64::MIN_POSITIVE)).abs();
+        let one = found.all * h / o.max(f64::MIN_POSITIVE);
+        found.error = 0.2 * (found.hidden - one).abs();
     } else if unsure {
-        cell.error = 0.02 * all;
+        found.error = 0.02 * found.all;
     }
     scratch.counts[2] += points;
+    found
 }
 
 /// Configuration factors from a point of the sender to the hidden part of the receiver and to
@@ -744,7 +764,7 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
                 for before in &many[..k] {
                     scratch.rest.clear();
                     for piece in scratch.pieces.drain(..) {
-                        if scratch.rest.len() > MOST_PIECES {
+                        if scratch.rest.len() > MOST_RESTS {
                             scratch.rest.push(piece);
                         } else {
                             piece.outside(before, &mut scratch.rest);

@@ -319,7 +319,7 @@ impl Walk {
             near_m: ground.near_m,
             sliver: (2.0 * ground.error.sqrt()).min(0.05),
             far: 0.06 / ground.error.sqrt(),
-            small: 5.0 * ground.error.sqrt(),
+            small: 15.0 * ground.error.sqrt(),
         };
         between(from, to, &blockers, &asked, &mut self.scratch)
     }
