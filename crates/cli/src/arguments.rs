@@ -345,7 +345,9 @@ pub fn settings(
 fn number(text: &str, low: f64, high: f64) -> Result<f64, String> {
     match text.trim().parse::<f64>() {
         Ok(v) if (low..=high).contains(&v) => Ok(v),
-        _ => Err(format!("expected a number from {low:e} to {high:e}, found '{text}'")),
+        _ => Err(format!(
+            "expected a number from {low:e} to {high:e}, found '{text}'"
+        )),
     }
 }
 

@@ -1,8 +1,6 @@
 //! The commands: from arguments to the library and back to the terminal.
 
-use crate::arguments::{
-    Arguments, Command, Factors, Inspect, Light, Probe, Verify, settings,
-};
+use crate::arguments::{Arguments, Command, Factors, Inspect, Light, Probe, Verify, settings};
 use crate::terminal;
 use luxel::{Control, LightJob, Receiver, Session, Status, points};
 use std::io::{Read, Write};

@@ -51,7 +51,10 @@ pub fn city_block(facets: usize) -> Facets {
                 for i in 0..3 {
                     if (i, j) != (1, 1) {
                         let at = |k: usize, l: usize| DVec3::new(xs[i + k], ys[j + l], 0.0);
-                        out.push(("street", divide([at(0, 0), at(1, 0), at(1, 1), at(0, 1)], edge_m)));
+                        out.push((
+                            "street",
+                            divide([at(0, 0), at(1, 0), at(1, 1), at(0, 1)], edge_m),
+                        ));
                     }
                 }
             }
@@ -72,7 +75,11 @@ pub fn city_block(facets: usize) -> Facets {
 /// Faces of a box, counter-clockwise from outside: below, above, then the sides.
 fn box_faces(low: [f64; 3], high: [f64; 3]) -> [[DVec3; 4]; 6] {
     let at = |i: usize, j: usize, k: usize| {
-        DVec3::new([low[0], high[0]][i], [low[1], high[1]][j], [low[2], high[2]][k])
+        DVec3::new(
+            [low[0], high[0]][i],
+            [low[1], high[1]][j],
+            [low[2], high[2]][k],
+        )
     };
     [
         [at(0, 0, 0), at(0, 1, 0), at(1, 1, 0), at(1, 0, 0)],
@@ -118,7 +125,11 @@ fn finest(facets: usize, name: &str, divided: &dyn Fn(f64) -> Pieces) -> Facets 
         }
     }
     let near = |edge: f64| count(edge).abs_diff(facets);
-    let edge = if near(fine) < near(coarse) { fine } else { coarse };
+    let edge = if near(fine) < near(coarse) {
+        fine
+    } else {
+        coarse
+    };
     let mut out = Facets {
         name: name.to_string(),
         materials: vec![String::new()],
@@ -209,7 +220,10 @@ mod tests {
             assert!(sum.length() < 1e-9);
             let area: f64 = room.areas().iter().sum();
             let boxes = 2.0
-                * ((0.42 + 0.42 + 0.36) + (0.54 + 0.72 + 0.48) + (0.56 + 0.72 + 0.63) + (0.63 + 0.42 + 0.54));
+                * ((0.42 + 0.42 + 0.36)
+                    + (0.54 + 0.72 + 0.48)
+                    + (0.56 + 0.72 + 0.63)
+                    + (0.63 + 0.42 + 0.54));
             assert!((area - 61.8 - boxes).abs() < 1e-9, "{area}");
         }
         let city = city_block(22_000);

@@ -9,18 +9,31 @@ use luxel_transport::facets::{Batch, Counts, ExchangeMatrix, FacetFactors, Facet
 use std::time::Instant;
 
 fn main() {
-    let words: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let words: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| a != "--bench")
+        .collect();
     let sizes: Vec<usize> = words.iter().filter_map(|w| w.parse().ok()).collect();
     let strict = words.iter().any(|w| w == "strict");
     let city = words.iter().any(|w| w == "city");
-    let sizes = if sizes.is_empty() { vec![1000, 2000, 5000] } else { sizes };
+    let sizes = if sizes.is_empty() {
+        vec![1000, 2000, 5000]
+    } else {
+        sizes
+    };
     for n in sizes {
-        let facets = if city { city_block(n) } else { floating_boxes(n) };
+        let facets = if city {
+            city_block(n)
+        } else {
+            floating_boxes(n)
+        };
         let (matrix, counts) = run(&facets, 1e-4);
         let sums = matrix.row_sums();
-        let closure: f64 =
-            sums.iter().map(|s| (1.0 - s).abs()).sum::<f64>() / sums.len() as f64;
-        let worst = sums.iter().map(|s| s - 1.0).fold(f64::NEG_INFINITY, f64::max);
+        let closure: f64 = sums.iter().map(|s| (1.0 - s).abs()).sum::<f64>() / sums.len() as f64;
+        let worst = sums
+            .iter()
+            .map(|s| s - 1.0)
+            .fold(f64::NEG_INFINITY, f64::max);
         println!(
             "  closure: mean {closure:.2e}, most above 1 {worst:.1e}; {} entries; pieces {:.1} and points {:.1} a shadowed pair; stated {:.1e}",
             matrix.columns.len(),
@@ -31,12 +44,27 @@ fn main() {
         if strict {
             let cached = std::path::PathBuf::from(format!("/tmp/strict-{}.bin", facets.rows.len()));
             let exact = if let Ok(b) = std::fs::read(&cached) {
-                let t: Vec<luxel_transport::facets::Triplet> = b.chunks_exact(12).map(|c| luxel_transport::facets::Triplet{row:u32::from_le_bytes(c[0..4].try_into().unwrap()),column:u32::from_le_bytes(c[4..8].try_into().unwrap()),exchange:f32::from_le_bytes(c[8..12].try_into().unwrap())}).collect();
+                let t: Vec<luxel_transport::facets::Triplet> = b
+                    .chunks_exact(12)
+                    .map(|c| luxel_transport::facets::Triplet {
+                        row: u32::from_le_bytes(c[0..4].try_into().unwrap()),
+                        column: u32::from_le_bytes(c[4..8].try_into().unwrap()),
+                        exchange: f32::from_le_bytes(c[8..12].try_into().unwrap()),
+                    })
+                    .collect();
                 ExchangeMatrix::new(&matrix.areas, t.iter().copied())
             } else {
                 let (m, _) = run(&facets, 2e-6);
                 let mut b = Vec::new();
-                for i in 0..m.areas.len() { for k in m.offsets[i]..m.offsets[i+1] { if m.columns[k] as usize >= i { b.extend((i as u32).to_le_bytes()); b.extend(m.columns[k].to_le_bytes()); b.extend(m.exchange[k].to_le_bytes()); } } }
+                for i in 0..m.areas.len() {
+                    for k in m.offsets[i]..m.offsets[i + 1] {
+                        if m.columns[k] as usize >= i {
+                            b.extend((i as u32).to_le_bytes());
+                            b.extend(m.columns[k].to_le_bytes());
+                            b.extend(m.exchange[k].to_le_bytes());
+                        }
+                    }
+                }
                 std::fs::write(&cached, b).unwrap();
                 m
             };
@@ -44,14 +72,23 @@ fn main() {
             for i in 0..sums.len() {
                 sum += difference(&matrix, &exact, i);
             }
-            println!("  mean over rows of sum |F - strict|: {:.2e}", sum / sums.len() as f64);
+            println!(
+                "  mean over rows of sum |F - strict|: {:.2e}",
+                sum / sums.len() as f64
+            );
         }
     }
 }
 
 fn run(facets: &Facets, error: f64) -> (ExchangeMatrix, Counts) {
     let (start, wall) = (cpu_s(), Instant::now());
-    let work = FacetFactors::new(facets, &FacetSettings { error, ..FacetSettings::default() });
+    let work = FacetFactors::new(
+        facets,
+        &FacetSettings {
+            error,
+            ..FacetSettings::default()
+        },
+    );
     let prepared = cpu_s() - start;
     let batches: Vec<Batch> = (0..work.batches()).map(|b| work.compute(b)).collect();
     let found = cpu_s() - start;
@@ -77,7 +114,8 @@ fn run(facets: &Facets, error: f64) -> (ExchangeMatrix, Counts) {
 fn difference(one: &ExchangeMatrix, two: &ExchangeMatrix, row: usize) -> f64 {
     let entries = |m: &ExchangeMatrix| -> Vec<(u32, f64)> {
         let run = m.offsets[row]..m.offsets[row + 1];
-        run.map(|k| (m.columns[k], m.exchange[k] as f64 / m.areas[row])).collect()
+        run.map(|k| (m.columns[k], m.exchange[k] as f64 / m.areas[row]))
+            .collect()
     };
     let (a, b) = (entries(one), entries(two));
     let (mut i, mut j, mut sum) = (0, 0, 0.0);

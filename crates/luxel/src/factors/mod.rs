@@ -15,9 +15,7 @@ use luxel_io::{
     Batch as StoredBatch, BatchEntry, BatchFile, FacetDocument, FacetOptions, FactorFormat,
     Precision, WriteError, facets_fingerprint, read_facets, write_factors,
 };
-use luxel_transport::closure_repair::{
-    ExchangeAreas, Repair, RepairSettings, repair_closure,
-};
+use luxel_transport::closure_repair::{ExchangeAreas, Repair, RepairSettings, repair_closure};
 use luxel_transport::facets::{
     Batch, Counts, ExchangeMatrix, FacetFactors, FacetSettings, Triplet,
 };
@@ -119,7 +117,9 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
     let mut report = FactorsReport::new(job, facets, &asked);
     report.blockers = work.blockers();
     if let Some(points) = &job.points {
-        return from_points(job, &document, &work, points, zones, report, clock, &output, watch);
+        return from_points(
+            job, &document, &work, points, zones, report, clock, &output, watch,
+        );
     }
     let part = beside(&output, "part");
     if !job.resume && part.exists() {
@@ -179,7 +179,11 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         Some(zones) => {
             let table = Table::of_zones(&kept, &areas, zones, !job.to_zones, &keep);
             report.zones(zones, &areas, &table, !job.to_zones);
-            let row_areas = if job.to_zones { areas.clone() } else { zones.areas(&areas) };
+            let row_areas = if job.to_zones {
+                areas.clone()
+            } else {
+                zones.areas(&areas)
+            };
             if job.to_zones {
                 report.facets(facets, &areas);
             }
@@ -228,7 +232,10 @@ impl Asked {
             )));
         }
         for (name, what) in [
-            ("emit", "emit=1 asks for factors with reflections; those of black surfaces are written"),
+            (
+                "emit",
+                "emit=1 asks for factors with reflections; those of black surfaces are written",
+            ),
             ("col", "col asks for one column; all columns are written"),
         ] {
             if number(document, name).is_some_and(|v| v > 0.0) {
@@ -376,12 +383,7 @@ fn from_stored(batch: &StoredBatch) -> Batch {
 }
 
 /// The matrix without factors that are below the threshold in both directions.
-fn assembled(
-    areas: &[f64],
-    batches: &[Batch],
-    threshold: f64,
-    lost: &mut [f64],
-) -> ExchangeMatrix {
+fn assembled(areas: &[f64], batches: &[Batch], threshold: f64, lost: &mut [f64]) -> ExchangeMatrix {
     let all = batches.iter().flat_map(|b| b.found.iter().copied());
     if threshold <= 0.0 {
         return ExchangeMatrix::new(areas, all);

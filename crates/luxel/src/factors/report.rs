@@ -136,7 +136,11 @@ const FEW_ZONES: usize = 64;
 
 impl FactorsReport {
     pub(super) fn new(job: &FactorsJob, facets: &Facets, asked: &Asked) -> FactorsReport {
-        let obstructions = facets.parts.iter().filter(|p| p.row == Facets::NO_ROW).count();
+        let obstructions = facets
+            .parts
+            .iter()
+            .filter(|p| p.row == Facets::NO_ROW)
+            .count();
         FactorsReport {
             program: format!("luxel {}", env!("CARGO_PKG_VERSION")),
             scene: facets.name.clone(),
@@ -300,17 +304,26 @@ impl FactorsReport {
                     self.closure_mean, self.closure_worst, self.closure_worst_row
                 ),
             );
-            line("reciprocity defect", format!("{:.1e}", self.reciprocity_worst));
+            line(
+                "reciprocity defect",
+                format!("{:.1e}", self.reciprocity_worst),
+            );
             line(
                 "error",
-                format!("asked {:.0e}, stated {:.1e}", self.error_asked, self.error_stated),
+                format!(
+                    "asked {:.0e}, stated {:.1e}",
+                    self.error_asked, self.error_stated
+                ),
             );
         }
         line("largest row sum", format!("{:.7}", self.row_sum_largest));
         if self.lost_worst > 0.0 {
             line(
                 "lost to threshold",
-                format!("mean {:.1e}, largest {:.1e}", self.lost_mean, self.lost_worst),
+                format!(
+                    "mean {:.1e}, largest {:.1e}",
+                    self.lost_mean, self.lost_worst
+                ),
             );
         }
         if let Some(repair) = &self.repair {
@@ -319,7 +332,11 @@ impl FactorsReport {
                 format!(
                     "{}, {}: factors change by up to {:.1e} of themselves, rows by {:.1e}",
                     repair.outcome,
-                    if repair.applied { "applied" } else { "not applied" },
+                    if repair.applied {
+                        "applied"
+                    } else {
+                        "not applied"
+                    },
                     repair.largest_change,
                     repair.largest_row_change
                 ),

@@ -54,7 +54,9 @@ impl Zones {
                 })?;
             let zone = zones.named(name.trim());
             for member in members.split(',').map(str::trim) {
-                zones.take(facets, member, zone).map_err(|e| format!("--group {wish}: {e}"))?;
+                zones
+                    .take(facets, member, zone)
+                    .map_err(|e| format!("--group {wish}: {e}"))?;
             }
         }
         let mut by_name: HashMap<u32, u32> = HashMap::new();
@@ -128,7 +130,11 @@ impl Zones {
             .collect();
         Err(format!(
             "expected an object, a material, a facet or rows like 0..10, found '{member}'; there are {}",
-            if some.is_empty() { "no names".to_string() } else { some.join(", ") }
+            if some.is_empty() {
+                "no names".to_string()
+            } else {
+                some.join(", ")
+            }
         ))
     }
 
@@ -144,7 +150,9 @@ impl Zones {
 
 /// Rows `a..b`, counted from 0, without b; `a..` to the end; `a` alone.
 pub fn parse_rows(text: &str) -> Result<std::ops::Range<u32>, String> {
-    let wrong = || format!("expected rows as 0..100 (from 0, without the last), 100.. or 7, found '{text}'");
+    let wrong = || {
+        format!("expected rows as 0..100 (from 0, without the last), 100.. or 7, found '{text}'")
+    };
     let number = |t: &str| t.trim().parse::<u32>().map_err(|_| wrong());
     let run = match text.split_once("..") {
         None => {
@@ -269,7 +277,12 @@ mod tests {
             material,
         };
         Facets {
-            rows: vec![row("a", 0, 0), row("b", 0, 1), row("c", 1, 1), row("", 1, 0)],
+            rows: vec![
+                row("a", 0, 0),
+                row("b", 0, 1),
+                row("c", 1, 1),
+                row("", 1, 0),
+            ],
             objects: vec!["shell".into(), "box".into()],
             materials: vec!["white".into(), "black".into()],
             ..Facets::default()
@@ -285,11 +298,17 @@ mod tests {
         let zones = |w| Zones::new(&facets(), &w);
         assert_eq!(zones(wish(None, &[])), Ok(None));
         let by = zones(wish(Some(By::Material), &[])).unwrap().unwrap();
-        assert_eq!((by.names, by.of), (vec!["white".into(), "black".into()], vec![0, 1, 1, 0]));
+        assert_eq!(
+            (by.names, by.of),
+            (vec!["white".into(), "black".into()], vec![0, 1, 1, 0])
+        );
         let mixed = zones(wish(Some(By::Object), &["lid=c"])).unwrap().unwrap();
         assert_eq!(mixed.of, [1, 1, 0, 2]);
         let rest = zones(wish(None, &["x=shell, 3"])).unwrap().unwrap();
-        assert_eq!((rest.names, rest.of), (vec!["x".into(), "rest".into()], vec![0, 0, 1, 0]));
+        assert_eq!(
+            (rest.names, rest.of),
+            (vec!["x".into(), "rest".into()], vec![0, 0, 1, 0])
+        );
         for bad in ["x", "=a", "x=", "x=nobody", "x=9..4"] {
             assert!(zones(wish(None, &[bad])).is_err(), "{bad}");
         }

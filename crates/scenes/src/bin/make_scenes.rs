@@ -31,7 +31,10 @@ fn main() -> ExitCode {
                 };
                 vec![
                     (format!("{kind}-{n}.obj"), to_obj(&facets).into_bytes()),
-                    (format!("{kind}-{n}.vs3"), to_vs3(&facets, 1e-4).into_bytes()),
+                    (
+                        format!("{kind}-{n}.vs3"),
+                        to_vs3(&facets, 1e-4).into_bytes(),
+                    ),
                 ]
             }
             Err(_) => return usage(),

@@ -14,8 +14,8 @@ use std::collections::HashMap;
 
 /// Most corners of a merged polygon.
 const MOST_CORNERS: usize = 8;
-/// Most faces of a body: its shadow is cut by up to as many planes.
-const MOST_FACES: usize = 12;
+/// Most faces of a solid: all are looked at for each point.
+const MOST_FACES: usize = 2000;
 
 /// A plane: `normal . x - offset` is the height in front.
 #[derive(Clone, Copy, Debug)]
@@ -593,9 +593,7 @@ mod tests {
         let area: f64 = merged
             .list
             .iter()
-            .map(|b| {
-                luxel_core::Polygon::new(b.corners.clone()).area()
-            })
+            .map(|b| luxel_core::Polygon::new(b.corners.clone()).area())
             .sum();
         assert!((area - 12.0).abs() < 1e-12 && merged.list.len() <= 3);
     }

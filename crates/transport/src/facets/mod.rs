@@ -18,8 +18,11 @@ mod parts;
 mod ring;
 mod shadow;
 mod shaft;
+#[cfg(test)]
+mod tests;
 mod walk;
 
+use blockers::Plane;
 use luxel_core::{DVec3, Facets, SparseRows};
 use parts::Parts;
 use rayon::prelude::*;
@@ -118,7 +121,18 @@ impl FacetFactors {
             .flat_map(|p| &p.polygon.vertices)
             .map(|v| v.abs().max_element())
             .fold(0.0, f64::max);
-        let near_m = (1.5 * facets.rounding_m).max(1e-13 * largest);
+        // A polygon that is bent must not stand in its own way.
+        let bend = facets
+            .parts
+            .iter()
+            .map(|p| {
+                let (low, high) = Plane::of(&p.polygon.vertices).heights(&p.polygon.vertices);
+                high.max(-low)
+            })
+            .fold(0.0, f64::max);
+        let near_m = (1.5 * facets.rounding_m)
+            .max(1e-13 * largest)
+            .max(2.0 * bend);
         let parts = Parts::new(facets, near_m);
         let polygons: Vec<Vec<DVec3>> = facets
             .parts
@@ -132,7 +146,11 @@ impl FacetFactors {
         let wanted = parts
             .clusters
             .iter()
-            .map(|c| parts.list[c.run()].iter().any(|p| wanted_rows.contains(&p.row)))
+            .map(|c| {
+                parts.list[c.run()]
+                    .iter()
+                    .any(|p| wanted_rows.contains(&p.row))
+            })
             .collect();
         let most = (parts.list.len() / BLOCKS).max(LEAST_BLOCK);
         let mut blocks = Vec::new();
@@ -238,7 +256,10 @@ impl FacetFactors {
 
     /// The matrix of what was found.
     pub fn matrix(&self, batches: &[Batch]) -> ExchangeMatrix {
-        ExchangeMatrix::new(&self.areas, batches.iter().flat_map(|b| b.found.iter().copied()))
+        ExchangeMatrix::new(
+            &self.areas,
+            batches.iter().flat_map(|b| b.found.iter().copied()),
+        )
     }
 }
 
@@ -257,10 +278,7 @@ pub struct ExchangeMatrix {
 
 impl ExchangeMatrix {
     /// From triplets of which each pair may have several.
-    pub fn new(
-        areas: &[f64],
-        triplets: impl Iterator<Item = Triplet> + Clone,
-    ) -> ExchangeMatrix {
+    pub fn new(areas: &[f64], triplets: impl Iterator<Item = Triplet> + Clone) -> ExchangeMatrix {
         let n = areas.len();
         let mut offsets = vec![0_usize; n + 1];
         for t in triplets.clone() {

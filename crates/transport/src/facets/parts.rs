@@ -89,7 +89,7 @@ impl Nodes {
     }
 }
 
-/// Order 1, 2 or 3 for quadrilaterals; rules of like accuracy on triangles.
+/// Order 2 or 3 for quadrilaterals; rules of like accuracy on triangles.
 fn part_nodes(v: &[DVec3], order: usize, each: &mut impl FnMut(DVec3, f64)) {
     let mut k = 1;
     while k + 1 < v.len() {
@@ -100,26 +100,25 @@ fn part_nodes(v: &[DVec3], order: usize, each: &mut impl FnMut(DVec3, f64)) {
                 for &(t, wt) in gauss(order) {
                     let (s, t) = (0.5 + 0.5 * s, 0.5 + 0.5 * t);
                     let jacobian = (u + skew * t).cross(w + skew * s).length();
-                    each(a + u * s + w * t + skew * (s * t), 0.25 * ws * wt * jacobian);
+                    each(
+                        a + u * s + w * t + skew * (s * t),
+                        0.25 * ws * wt * jacobian,
+                    );
                 }
             }
             k += 2;
         } else {
             let (a, b, c) = (v[0], v[k], v[k + 1]);
             let area = 0.5 * (b - a).cross(c - a).length();
-            // One node; three of degree 2; six of degree 4 [Strang73]. Each is a corner's weight
+            // Three nodes of degree 2; six of degree 4 [Strang73]. Each is a corner's weight
             // besides that of the sum of all corners.
             let rule: &[(f64, f64)] = match order {
-                1 => &[],
                 2 => &[(1.0 / 6.0, 1.0 / 3.0)],
                 _ => &[
                     (0.445_948_490_915_965, 0.223_381_589_678_011),
                     (0.091_576_213_509_771, 0.109_951_743_655_322),
                 ],
             };
-            if rule.is_empty() {
-                each((a + b + c) / 3.0, area);
-            }
             for &(t, w) in rule {
                 let sum = (a + b + c) * t;
                 for corner in [a, b, c] {
@@ -159,8 +158,8 @@ impl Cluster {
 pub(crate) struct Parts {
     pub(crate) list: Vec<Part>,
     pub(crate) clusters: Vec<Cluster>,
-    /// Nodes of order 1, 2 and 3.
-    pub(crate) nodes: [Nodes; 3],
+    /// Nodes of order 2 and of order 3.
+    pub(crate) nodes: [Nodes; 2],
 }
 
 /// Parts of a leaf.
@@ -194,9 +193,12 @@ impl Parts {
             let planes = parts.planes(near_m);
             parts.clusters.push(parts.cluster(&order, &planes, 0));
             parts.fill(0, &mut order, &planes, 0);
-            parts.list = order.iter().map(|&p| parts.list[p as usize].clone()).collect();
+            parts.list = order
+                .iter()
+                .map(|&p| parts.list[p as usize].clone())
+                .collect();
         }
-        parts.nodes = [1, 2, 3].map(|m| Nodes::of(&parts.list, m));
+        parts.nodes = [2, 3].map(|m| Nodes::of(&parts.list, m));
         parts
     }
 
@@ -268,9 +270,7 @@ impl Parts {
         let axis = longest_axis(high - low);
         let half = run.len() / 2;
         run.select_nth_unstable_by(half, |&x, &y| {
-            middle(x)[axis]
-                .total_cmp(&middle(y)[axis])
-                .then(x.cmp(&y))
+            middle(x)[axis].total_cmp(&middle(y)[axis]).then(x.cmp(&y))
         });
         half
     }

@@ -213,15 +213,25 @@ impl Ring {
     /// Pushes the parts of this ring outside of `other`.
     pub(crate) fn outside(mut self, other: &Ring, rest: &mut Vec<Ring>) {
         let v = other.corners();
-        for k in 0..v.len() {
-            let (a, along) = (v[k], v[(k + 1) % v.len()] - v[k]);
+        let side = |k: usize| {
             // Left of a counter-clockwise edge is inside.
-            let slope = along.perp();
-            let line = Line {
-                offset: -slope.dot(a),
+            let slope = (v[(k + 1) % v.len()] - v[k]).perp();
+            Line {
+                offset: -slope.dot(v[k]),
                 slope,
-            };
-            let (within, without) = self.split(line);
+            }
+        };
+        // What has nothing in common stays whole.
+        let mut common = self;
+        for k in 0..v.len() {
+            common.cut(side(k));
+            if common.is_empty() {
+                rest.push(self);
+                return;
+            }
+        }
+        for k in 0..v.len() {
+            let (within, without) = self.split(side(k));
             if !without.is_empty() {
                 rest.push(without);
             }

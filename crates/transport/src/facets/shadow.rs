@@ -35,8 +35,6 @@ const MOST_CUTS: usize = 64;
 const MOST_PIECES: usize = 400;
 /// Points that a pair may spend on halving.
 const MOST_POINTS: u64 = 20_000;
-/// Overlapping shadows are taken apart into at most so many pieces at one point.
-const MOST_RESTS: usize = 64;
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
 struct Outlines {
@@ -45,6 +43,8 @@ struct Outlines {
     /// Faces that look at the sender and do not have all of the receiver behind them, as planes
     /// with the hidden side in front.
     faces: Vec<Plane>,
+    /// Which faces of the blocker at hand look at the sender.
+    looks: Vec<i8>,
 }
 
 /// A value in m² and how far off it may be.
@@ -63,8 +63,8 @@ pub(crate) struct Scratch {
     pieces: Vec<Ring>,
     rest: Vec<Ring>,
     cuts: Vec<Line>,
-    casts: Vec<Cast>,
     outlines: Outlines,
+    looks: Vec<f64>,
     /// Pairs that came to `between`, pieces, points: what work was done.
     pub(crate) counts: [u64; 3],
 }
@@ -110,21 +110,21 @@ pub(crate) fn between(
         (to, from, rf)
     };
     let (s, r) = (&sender.vertices, &receiver.vertices);
-    scratch.casts.clear();
+    let mut casts = Vec::with_capacity(blockers.len());
     scratch.outlines.edges.clear();
     scratch.outlines.faces.clear();
-    for blocker in blockers {
+    for &blocker in blockers {
         match Cast::new(blocker, s, r, asked.near_m, &mut scratch.outlines) {
             Standing::Aside => {}
             Standing::Everywhere => return Exchange::default(),
             Standing::Between(cast) => {
                 if cast.edges.len() < 2 || !kept_apart(blocker, s, r, asked.near_m) {
-                    scratch.casts.push(cast);
+                    casts.push(cast);
                 }
             }
         }
     }
-    if scratch.casts.is_empty() {
+    if casts.is_empty() {
         return free;
     }
     scratch.counts[0] += 1;
@@ -135,7 +135,6 @@ pub(crate) fn between(
     };
     let start = pair.from.ring(s);
     let whole = pair.to.ring(r);
-    let casts = std::mem::take(&mut scratch.casts);
     let outlines = std::mem::take(&mut scratch.outlines);
     let (area, centroid) = whole.moments();
     let view = View {
@@ -148,7 +147,6 @@ pub(crate) fn between(
     };
     critical_lines(&view, s, &start, r, asked.near_m, &mut scratch.cuts);
     let found = by_pieces(&view, start, asked, scratch);
-    scratch.casts = casts;
     scratch.outlines = outlines;
     found
 }
@@ -165,17 +163,17 @@ pub(crate) fn seen_from(
 ) -> f64 {
     let r = &to.vertices;
     let all = above_horizon(x, normal, r);
-    scratch.casts.clear();
+    let mut casts = Vec::with_capacity(blockers.len());
     scratch.outlines.edges.clear();
     scratch.outlines.faces.clear();
-    for blocker in blockers {
+    for &blocker in blockers {
         match Cast::new(blocker, &[x], r, near_m, &mut scratch.outlines) {
             Standing::Aside => {}
             Standing::Everywhere => return 0.0,
-            Standing::Between(cast) => scratch.casts.push(cast),
+            Standing::Between(cast) => casts.push(cast),
         }
     }
-    if all <= 0.0 || scratch.casts.is_empty() {
+    if all <= 0.0 || casts.is_empty() {
         return all;
     }
     let pair = Pair {
@@ -189,7 +187,6 @@ pub(crate) fn seen_from(
         far: false,
     };
     let whole = pair.to.ring(r);
-    let casts = std::mem::take(&mut scratch.casts);
     let outlines = std::mem::take(&mut scratch.outlines);
     let (area, centroid) = whole.moments();
     let view = View {
@@ -201,7 +198,6 @@ pub(crate) fn seen_from(
         outlines: &outlines,
     };
     let (hidden, all) = hidden_from(&view, DVec2::ZERO, scratch);
-    scratch.casts = casts;
     scratch.outlines = outlines;
     all - hidden
 }
@@ -215,48 +211,50 @@ struct Pair {
 }
 
 /// A blocker as one pair meets it.
-struct Cast {
+struct Cast<'a> {
     /// Run of the outlines' edges.
     edges: Range<usize>,
     /// Run of the outlines' faces.
     faces: Range<usize>,
     /// All of it, if its outline is not the same from everywhere on the sender.
-    turning: Option<Box<Blocker>>,
+    turning: Option<&'a Blocker>,
 }
 
-enum Standing {
+enum Standing<'a> {
     Aside,
     Everywhere,
-    Between(Cast),
+    Between(Cast<'a>),
 }
 
-impl Cast {
+impl<'a> Cast<'a> {
     fn new(
-        blocker: &Blocker,
+        blocker: &'a Blocker,
         s: &[DVec3],
         r: &[DVec3],
         near_m: f64,
         outlines: &mut Outlines,
-    ) -> Standing {
+    ) -> Standing<'a> {
         let start = (outlines.edges.len(), outlines.faces.len());
+        let looks = &mut outlines.looks;
         let single = !blocker.is_solid();
-        // 1: looks at all of the sender; -1: at none of it.
-        let mut looks = [0_i8; 16];
+        // 1: looks at all of the sender; -1: at none of it; 0: at some.
+        looks.clear();
         let mut turns = false;
         let mut any = false;
-        for (k, face) in blocker.faces.iter().enumerate() {
+        for face in &blocker.faces {
             let (low, high) = face.heights(s);
-            looks[k] = if low >= -near_m {
-                1
+            let look = if low >= -near_m {
+                1_i8
             } else if high <= near_m {
                 -1
             } else {
                 turns = true;
                 0
             };
-            if looks[k] == 1 || (single && looks[k] == -1) {
+            looks.push(look);
+            if look == 1 || (single && look == -1) {
                 any = true;
-                let sense = f64::from(looks[k]);
+                let sense = f64::from(look);
                 let (low, high) = face.heights(r);
                 let (low, high) = if sense > 0.0 {
                     (low, high)
@@ -285,7 +283,7 @@ impl Cast {
         };
         if turns {
             outlines.faces.truncate(start.1);
-            return between(outlines, Some(Box::new(blocker.clone())));
+            return between(outlines, Some(blocker));
         }
         if !any {
             return Standing::Aside;
@@ -339,11 +337,11 @@ impl Cast {
 
     /// What it hides of `receiver` from `point`.
     #[inline]
-    fn shadow(&self, point: DVec3, view: &View<'_>, dark: &mut Ring) {
+    fn shadow(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<f64>, dark: &mut Ring) {
         let chart = &view.pair.to;
         dark.set(view.receiver);
         if let Some(blocker) = &self.turning {
-            return turning_shadow(blocker, point, chart, dark);
+            return turning_shadow(blocker, point, chart, dark, looks);
         }
         for &(a, b) in &view.outlines.edges[self.edges.clone()] {
             let inward = (b - point).cross(a - point);
@@ -359,21 +357,27 @@ impl Cast {
 }
 
 /// The shadow of a blocker whose outline is found anew at each point.
-fn turning_shadow(blocker: &Blocker, point: DVec3, chart: &Chart, dark: &mut Ring) {
-    let mut looks = [0.0; 16];
+fn turning_shadow(
+    blocker: &Blocker,
+    point: DVec3,
+    chart: &Chart,
+    dark: &mut Ring,
+    looks: &mut Vec<f64>,
+) {
     let single = !blocker.is_solid();
-    for (k, face) in blocker.faces.iter().enumerate() {
+    looks.clear();
+    for face in &blocker.faces {
         let height = face.height(point);
-        looks[k] = if height > 0.0 {
+        let look = if height > 0.0 {
             1.0
         } else if single && height < 0.0 {
             -1.0
         } else {
             0.0
         };
-        if looks[k] != 0.0 {
-            let normal = -looks[k] * face.normal;
-            dark.cut(chart.line(normal, face.normal * face.offset));
+        looks.push(look);
+        if look != 0.0 {
+            dark.cut(chart.line(-look * face.normal, face.normal * face.offset));
         }
     }
     if looks.iter().all(|&l| l == 0.0) {
@@ -435,7 +439,16 @@ fn critical_lines(
             // An edge of the blocker passes a corner of the receiver, where the edge itself, not
             // its extension, lies between the corner and the sender.
             for &corner in r {
-                kink(pair, s, start, corner, (a, b), |way| way >= 1.0 - 1e-9, near_m, cuts);
+                kink(
+                    pair,
+                    s,
+                    start,
+                    corner,
+                    (a, b),
+                    |way| way >= 1.0 - 1e-9,
+                    near_m,
+                    cuts,
+                );
             }
             // A corner of the blocker passes an edge of the receiver: the corner lies between.
             for end in [a, b] {
@@ -493,7 +506,9 @@ fn kink(
     for &corner in corners {
         let h = line.at(corner);
         if (h >= 0.0) != (h_last >= 0.0) {
-            let x = pair.from.space(last + (corner - last) * (h_last / (h_last - h)));
+            let x = pair
+                .from
+                .space(last + (corner - last) * (h_last / (h_last - h)));
             let way = 1.0 - across.dot(x - a) / h_apex;
             let foot = apex + (x - apex) / way;
             let t = (foot - a).dot(along) / length;
@@ -582,7 +597,7 @@ struct View<'a> {
     receiver: &'a Ring,
     receiver_area: f64,
     receiver_middle: DVec3,
-    casts: &'a [Cast],
+    casts: &'a [Cast<'a>],
     outlines: &'a Outlines,
 }
 
@@ -744,7 +759,7 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
     let mut count = 0;
     for cast in view.casts {
         let shadow = &mut scratch.shadows[count];
-        cast.shadow(x, view, shadow);
+        cast.shadow(x, view, &mut scratch.looks, shadow);
         count += usize::from(!shadow.is_empty());
     }
     let hidden = match &scratch.shadows[..count] {
@@ -755,32 +770,33 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
             }
             factor(view.pair, x, one)
         }
-        many => {
-            // Each takes away what those before it hide already.
-            let (mut sum, mut area) = (factor(view.pair, x, &many[0]), many[0].area());
-            for k in 1..many.len() {
-                scratch.pieces.clear();
-                scratch.pieces.push(many[k]);
-                for before in &many[..k] {
-                    scratch.rest.clear();
-                    for piece in scratch.pieces.drain(..) {
-                        if scratch.rest.len() > MOST_RESTS {
-                            scratch.rest.push(piece);
-                        } else {
-                            piece.outside(before, &mut scratch.rest);
-                        }
-                    }
-                    std::mem::swap(&mut scratch.pieces, &mut scratch.rest);
+        _ => {
+            // What each leaves of what those before it left; the largest first.
+            let shadows = &mut scratch.shadows[..count];
+            shadows.sort_by(|a, b| b.area().total_cmp(&a.area()));
+            scratch.pieces.clear();
+            scratch.pieces.push(*view.receiver);
+            for shadow in shadows.iter() {
+                scratch.rest.clear();
+                for piece in scratch.pieces.drain(..) {
+                    piece.outside(shadow, &mut scratch.rest);
                 }
-                for piece in &scratch.pieces {
-                    sum += factor(view.pair, x, piece);
-                    area += piece.area();
+                std::mem::swap(&mut scratch.pieces, &mut scratch.rest);
+                if scratch.pieces.is_empty() {
+                    return (all, all);
                 }
             }
-            if area >= view.receiver_area * (1.0 - 1e-12) {
+            let least = 1e-13 * view.receiver_area;
+            let seen: f64 = scratch
+                .pieces
+                .iter()
+                .filter(|p| p.area() > least)
+                .map(|p| factor(view.pair, x, p))
+                .sum();
+            if seen <= 0.0 {
                 return (all, all);
             }
-            sum
+            all - seen.min(all)
         }
     };
     (hidden.min(all), all)

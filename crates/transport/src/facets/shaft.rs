@@ -258,9 +258,7 @@ impl BlockerTree {
         let axis = longest_axis(b - a);
         let half = run.len() / 2;
         run.select_nth_unstable_by(half, |&x, &y| {
-            middle(x)[axis]
-                .total_cmp(&middle(y)[axis])
-                .then(x.cmp(&y))
+            middle(x)[axis].total_cmp(&middle(y)[axis]).then(x.cmp(&y))
         });
         self.nodes.extend([self.nodes[at]; 2]);
         let (left, right) = run.split_at_mut(half);
@@ -299,7 +297,9 @@ mod tests {
     }
 
     fn random(seed: &mut u64) -> f64 {
-        *seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        *seed = seed
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
         (*seed >> 11) as f64 / (1u64 << 53) as f64
     }
 
@@ -320,7 +320,8 @@ mod tests {
             let mut hit = false;
             for _ in 0..50 {
                 let mut point = |(l, h): (DVec3, DVec3)| {
-                    l + (h - l) * DVec3::new(random(&mut seed), random(&mut seed), random(&mut seed))
+                    l + (h - l)
+                        * DVec3::new(random(&mut seed), random(&mut seed), random(&mut seed))
                 };
                 let (p, q) = (point(a), point(b));
                 let x = p + (q - p) * random(&mut seed);

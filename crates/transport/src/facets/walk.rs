@@ -78,10 +78,16 @@ impl Walk {
         }
         let (start, left) = (self.candidates.len(), candidates.len());
         let shaft = Shaft::new((ca.low, ca.high), (cb.low, cb.high), ground.near_m);
-        self.narrow(ground, &shaft, candidates, ca.size().max(cb.size()), |blocker| {
-            // All on one side of its plane, or behind a flat cluster.
-            aside(blocker, ca, cb, ground.near_m)
-        });
+        self.narrow(
+            ground,
+            &shaft,
+            candidates,
+            ca.size().max(cb.size()),
+            |blocker| {
+                // All on one side of its plane, or behind a flat cluster.
+                aside(blocker, ca, cb, ground.near_m)
+            },
+        );
         let kept = start..self.candidates.len();
         if kept.is_empty() {
             self.free(ground, ca, cb);
@@ -225,7 +231,8 @@ impl Walk {
                     let blockers = self.blockers(ground, before, &[x], corners);
                     self.candidates.truncate(before);
                     let to = &part.polygon;
-                    let seen = seen_from(x, normal, to, &blockers, ground.near_m, &mut self.scratch);
+                    let seen =
+                        seen_from(x, normal, to, &blockers, ground.near_m, &mut self.scratch);
                     if seen > 0.0 {
                         found.push((part.row, seen));
                     }
@@ -310,16 +317,17 @@ impl Walk {
         } else {
             free::exchange(&ground.parts, (i, j), facing, relative)
         };
-        let least = ground.error * p.area.min(q.area);
+        // Relative error of this pair: so that no factor is off by more than the promise, and
+        // small ones, of which there are many, not by more than a row can bear.
+        let smaller = p.area.min(q.area);
+        let relative = (10.0 * ground.error).min(0.02 * ground.error * smaller / free);
         let asked = Asked {
             free,
-            tolerance: (10.0 * ground.error * free)
-                .min(least)
-                .max(least / ground.rows as f64),
+            tolerance: (relative * free).max(ground.error * smaller / ground.rows as f64),
             near_m: ground.near_m,
-            sliver: (2.0 * ground.error.sqrt()).min(0.05),
-            far: 0.06 / ground.error.sqrt(),
-            small: 15.0 * ground.error.sqrt(),
+            sliver: (0.63 * relative.sqrt()).min(0.05),
+            far: 0.19 / relative.sqrt(),
+            small: (4.7 * relative.sqrt()).min(0.2),
         };
         between(from, to, &blockers, &asked, &mut self.scratch)
     }
@@ -379,7 +387,7 @@ impl Walk {
 impl Ground {
     /// Asked relative accuracy of free factors.
     fn relative(&self) -> f64 {
-        (0.1 * self.error).clamp(1e-10, 1e-5)
+        (0.3 * self.error).clamp(1e-10, 3e-5)
     }
 }
 
