@@ -15,11 +15,14 @@ use luxel_gather::{Accuracy, DirectLights, ElementDirect, Gatherer, Irradiance, 
 use luxel_io::{Document, Source, scene_ops};
 use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
 use luxel_solve::{Progress, Solver, SolverSettings, Transport};
-use luxel_transport::{Bvh, FrontLines, Matrix, MatrixSettings, RayCaster};
+use luxel_transport::{Bvh, Exact, FrontLines, Matrix, MatrixSettings, RayCaster};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// Promise of each stored form factor, absolute.
+const FACTOR_ERROR: f64 = 1e-4;
 
 /// Refinements of an adaptive mesh before it is taken as it is.
 const MOST_REFINEMENTS: u32 = 4;
@@ -237,12 +240,26 @@ impl Session {
                 ..MatrixSettings::default()
             };
             enter(watch, &Status::begin(Stage::Factors))?;
-            self.factors = Some(Matrix::assemble(
-                &self.scene,
-                &self.front,
-                &self.caster,
+            let (scene, front, caster) = (&*self.scene, &self.front, &self.caster);
+            let exact = Matrix::exact(
+                scene,
+                front,
+                caster,
                 &settings,
-            ));
+                FACTOR_ERROR,
+                &mut |share| {
+                    let status = Status {
+                        share,
+                        ..Status::begin(Stage::Factors)
+                    };
+                    watch(&status) == Control::Go
+                },
+            );
+            self.factors = Some(match exact {
+                Exact::Done(matrix) => matrix,
+                Exact::Stopped => return Err(Error::Stopped),
+                Exact::Refused => Matrix::assemble(scene, front, caster, &settings),
+            });
             self.clock.end(Stage::Factors);
         }
         Ok(())

@@ -168,14 +168,15 @@ impl Plan {
 }
 
 /// How a triangle meets rays.
-enum Presence {
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Presence {
     Absent,
     Solid,
     Partial,
 }
 
 /// A constant coverage is settled here, so that only textured surfaces are looked at per ray.
-fn presence(scene: &Scene, triangle: usize) -> Presence {
+pub(crate) fn presence(scene: &Scene, triangle: usize) -> Presence {
     let finish = scene.finish_of(triangle);
     let constant = finish.texture.is_none();
     match finish.alpha {

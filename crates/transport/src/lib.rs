@@ -36,6 +36,6 @@ pub use constant::Constant;
 pub use contract::{Arrival, FactorRow, FormFactors, Hit, LocalLines, Ray, RayCaster, of_each};
 pub use hemicube::Hemicube;
 pub use lines::{FactorLines, FrontLines};
-pub use matrix::{Defects, Matrix, MatrixSettings};
+pub use matrix::{Defects, Exact, Matrix, MatrixSettings};
 pub use monte_carlo::{MonteCarloFactors, RowError};
 pub use sampling::Sequence;

@@ -12,12 +12,14 @@
 //! Sources: one estimate for both directions [Cohen88]; visible share of the analytic factor
 //! [Baum89].
 
+use crate::build::{Presence, presence};
 use crate::contract::{Arrival, FactorRow, FormFactors, LocalLines, Ray, RayCaster};
+use crate::facets::{FacetFactors, FacetSettings};
 use crate::lines::FrontLines;
 use crate::obstructed::{point_in, quarters};
 use crate::polygon_pair::{exchange_area, facing_parts};
 use crate::sampling::{Sequence, hash};
-use luxel_core::{ElementId, Front, Polygon, Scene, Vec3};
+use luxel_core::{DVec3, ElementId, Facet, FacetPart, Facets, Front, Polygon, Scene, Vec3};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
@@ -62,6 +64,17 @@ pub struct Matrix {
     black: Vec<f64>,
 }
 
+/// How [`Matrix::exact`] ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Exact {
+    /// Here it is.
+    Done(Matrix),
+    /// Whoever watches wanted no more.
+    Stopped,
+    /// Something lets a part of the light through, or there are too many small things.
+    Refused,
+}
+
 /// How far stored factors are from what physics asks. Measured, never repaired.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Defects {
@@ -90,10 +103,7 @@ impl Matrix {
         let n = front.len();
         let upper: Vec<Vec<(u32, f64)>> =
             (0..n).into_par_iter().map(|i| work.upper_row(i)).collect();
-        let (outside, black): (Vec<f64>, Vec<f64>) = (0..n)
-            .into_par_iter()
-            .map_init(Vec::new, |arrivals, i| work.lost(i, arrivals))
-            .unzip();
+        let (outside, black) = work.all_lost();
 
         // Mirror the upper half: lower entries of row j come in ascending i by themselves.
         let mut count = vec![0_usize; n + 1];
@@ -133,6 +143,71 @@ impl Matrix {
             outside,
             black,
         }
+    }
+
+    /// The same by exact shadows instead of segments (see [`crate::facets`]): each factor to
+    /// `error`, absolute. `go_on` is told the share that is done and may end it.
+    ///
+    /// Refused where something lets a part of the light through, which only rays can tell, and
+    /// where so many small things stand about that rays are far cheaper.
+    pub fn exact(
+        scene: &Scene,
+        front: &Front,
+        caster: &dyn RayCaster,
+        settings: &MatrixSettings,
+        error: f64,
+        go_on: &mut dyn FnMut(f64) -> bool,
+    ) -> Exact {
+        let presences = || (0..scene.triangles.len()).map(|t| presence(scene, t));
+        if presences().any(|p| p == Presence::Partial) {
+            return Exact::Refused;
+        }
+        let blockers: Vec<Vec<DVec3>> = presences()
+            .enumerate()
+            .filter(|(_, p)| *p == Presence::Solid)
+            .map(|(t, _)| scene.corners(t).map(|c| c.as_dvec3()).to_vec())
+            .collect();
+        let work = Assembly::new(scene, front, caster, settings);
+        let parts = work.polygons.iter().enumerate().flat_map(|(row, list)| {
+            list.iter().map(move |polygon| FacetPart {
+                polygon: polygon.clone(),
+                row: row as u32,
+            })
+        });
+        let facets = Facets {
+            rows: vec![Facet::default(); front.len()],
+            parts: parts.filter(|p| p.polygon.area() > 0.0).collect(),
+            // Cells are interpolated between rounded corners.
+            rounding_m: 4.0 * (f32::EPSILON * scene.largest_coordinate()) as f64,
+            ..Facets::default()
+        };
+        let settings = FacetSettings {
+            error,
+            ..FacetSettings::default()
+        };
+        let factors = FacetFactors::past(&facets, &blockers, &settings);
+        if factors.blockers() > MOST_BLOCKERS {
+            return Exact::Refused;
+        }
+        let mut batches = Vec::with_capacity(factors.batches());
+        let mut share = 0.0;
+        for batch in 0..factors.batches() {
+            if !go_on(share) {
+                return Exact::Stopped;
+            }
+            batches.push(factors.compute(batch));
+            share += factors.share(batch);
+        }
+        let found = factors.matrix(&batches);
+        let (outside, black) = work.all_lost();
+        Exact::Done(Matrix {
+            areas: front.area.iter().map(|&a| a as f64).collect(),
+            offsets: found.offsets,
+            columns: found.columns.into_iter().map(ElementId).collect(),
+            exchange: found.exchange.into_iter().map(f64::from).collect(),
+            outside,
+            black,
+        })
     }
 
     /// From known factors `factors[i][j]` = F_ij and areas in m². What a row lacks to 1 counts as
@@ -234,6 +309,9 @@ impl FormFactors for Matrix {
         row.outside = self.outside[i];
     }
 }
+
+/// Blockers after merging up to which shadows are exact.
+const MOST_BLOCKERS: usize = 300;
 
 /// Pairs of polygons above which a pair of clusters is sampled instead.
 const MAX_POLYGON_PAIRS: usize = 16;
@@ -543,6 +621,14 @@ impl<'a> Assembly<'a> {
     }
 
     /// Shares of an element's flux that leave the scene and that fall on black.
+    /// [`Assembly::lost`] of each element.
+    fn all_lost(&self) -> (Vec<f64>, Vec<f64>) {
+        (0..self.front.len())
+            .into_par_iter()
+            .map_init(Vec::new, |arrivals, i| self.lost(i, arrivals))
+            .unzip()
+    }
+
     fn lost(&self, i: usize, arrivals: &mut Vec<Arrival>) -> (f64, f64) {
         let lines = FrontLines::new(self.scene, self.front, self.caster);
         lines.cast(

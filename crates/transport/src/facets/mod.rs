@@ -113,8 +113,19 @@ const LEAST_BLOCK: usize = 32;
 const BLOCKS: usize = 96;
 
 impl FacetFactors {
-    /// Prepares the work: blockers merged, trees built.
+    /// Prepares the work: blockers merged, trees built. All parts block.
     pub fn new(facets: &Facets, settings: &FacetSettings) -> FacetFactors {
+        let all = facets.parts.iter().map(|p| p.polygon.vertices.clone());
+        FacetFactors::past(facets, &all.collect::<Vec<_>>(), settings)
+    }
+
+    /// The same where only `blockers` block: convex polygons, corners in metres. The parts lie on
+    /// them or apart from them.
+    pub fn past(
+        facets: &Facets,
+        blockers: &[Vec<DVec3>],
+        settings: &FacetSettings,
+    ) -> FacetFactors {
         let largest = facets
             .parts
             .iter()
@@ -134,12 +145,7 @@ impl FacetFactors {
             .max(1e-13 * largest)
             .max(2.0 * bend);
         let parts = Parts::new(facets, near_m);
-        let polygons: Vec<Vec<DVec3>> = facets
-            .parts
-            .iter()
-            .map(|p| p.polygon.vertices.clone())
-            .collect();
-        let blockers = blockers::merge(&polygons, facets.rounding_m);
+        let blockers = blockers::merge(blockers, facets.rounding_m);
         let tree = BlockerTree::new(&blockers.list);
         let rows = facets.rows.len();
         let wanted_rows = settings.rows.start..settings.rows.end.min(rows as u32);

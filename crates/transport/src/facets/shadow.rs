@@ -33,8 +33,9 @@ use std::ops::Range;
 const MOST_CUTS: usize = 64;
 /// Pieces that cutting may make, about; more lines are then left to halving.
 const MOST_PIECES: usize = 400;
-/// Points that a pair may spend on halving.
-const MOST_POINTS: u64 = 20_000;
+/// Shadows that a pair may cut, about, one a point and blocker: bounds the time for pairs with a
+/// heap of things between them. What error is left is stated.
+const MOST_SHADOWS: usize = 40_000;
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
 struct Outlines {
@@ -609,8 +610,13 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     pieces.push(start);
     let small_m2 = asked.small * start.area();
     let mut complete = scratch.cuts.len() < MOST_CUTS;
-    for &line in &scratch.cuts {
-        if pieces.len() > MOST_PIECES {
+    let most_points = (MOST_SHADOWS / view.casts.len().max(1)).max(64);
+    // Half of the points for the pieces to begin with, five each.
+    let most_pieces = MOST_PIECES.min(most_points / 10);
+    // So little is at stake that any answer will do.
+    let negligible = asked.free <= 2.0 * asked.tolerance;
+    for &line in scratch.cuts.iter().filter(|_| !negligible) {
+        if pieces.len() > most_pieces {
             complete = false;
             break;
         }
@@ -630,7 +636,8 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     found.clear();
     let mut sum = Found::default();
     for piece in &pieces {
-        let here = measure(view, piece, small_m2, !complete, scratch);
+        let small_m2 = if negligible { f64::INFINITY } else { small_m2 };
+        let here = measure(view, piece, small_m2, !complete && !negligible, scratch);
         sum.hidden += here.hidden;
         sum.all += here.all;
         sum.error += here.error;
@@ -644,7 +651,8 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
             piece,
         };
         let mut queue: BinaryHeap<Waiting> = found.iter().enumerate().map(waiting).collect();
-        while sum.error * scale > asked.tolerance && scratch.counts[2] - before < MOST_POINTS {
+        while sum.error * scale > asked.tolerance && scratch.counts[2] - before < most_points as u64
+        {
             let Some(Waiting { piece, error }) = queue.pop() else {
                 break;
             };
