@@ -5,6 +5,7 @@
 //! - [`walk`]: which pairs see each other freely, not at all, or in part
 //! - [`free`]: a pair with nothing between
 //! - [`shadow`]: a pair with something between
+//! - [`compressed`]: all pairs of very many facets in little memory
 //! - [`ring`], [`shaft`]: polygons to cut, space between boxes
 //!
 //! Computed is the exchange area G_ij = A_i F_ij of each pair, once, so A_i F_ij = A_j F_ji
@@ -13,6 +14,7 @@
 //! not depend on the number of threads.
 
 mod blockers;
+mod compressed;
 mod free;
 mod parts;
 mod ring;
@@ -20,6 +22,7 @@ mod shadow;
 mod shaft;
 mod walk;
 
+pub use compressed::{ApplyError, CompressedBatch, CompressedMatrix, Stored};
 use luxel_core::{Facets, SparseRows};
 use parts::Parts;
 use rayon::prelude::*;
