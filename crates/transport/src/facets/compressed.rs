@@ -38,8 +38,11 @@ const GROUPS: usize = 32;
 
 /// Exchange areas of all pairs of rows, compressed; symmetric.
 ///
-/// A product is off by about the promise of the settings it was computed with, relative, but by
-/// not less than 1e-7: numbers are stored as f32. [`CompressedMatrix::measured_error`] tells.
+/// A product is off by about the promise of the settings it was computed with, relative to the
+/// root mean square over rows; at 1e-4 the worst row seen, with one facet in a hundred bright in a
+/// town, had 2.5e-4. Not promised: less than 1e-7, numbers are stored as f32.
+/// [`CompressedMatrix::measured_error`] tells. A facet takes 3 to 16 kB, by what shadows there
+/// are; it grows as the root of their number.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CompressedMatrix {
     /// Area of each row, m².
