@@ -110,8 +110,12 @@ type Pieces = Vec<(&'static str, Vec<[DVec3; 4]>)>;
 /// The division whose number of facets is nearest to what is asked.
 fn finest(facets: usize, name: &str, divided: &dyn Fn(f64) -> Pieces) -> Facets {
     let count = |edge: f64| divided(edge).iter().map(|p| p.1.len()).sum::<usize>();
-    let (mut fine, mut coarse) = (1e-3_f64, 1e3_f64);
-    // From coarse to fine by a hundredth, so that counts are met as they come.
+    // From coarse to fine, so that nothing much finer than what is asked is ever made.
+    let mut fine = 1e3_f64;
+    while count(fine) <= facets {
+        fine *= 0.7;
+    }
+    let mut coarse = fine / 0.7;
     for _ in 0..60 {
         let middle = (fine * coarse).sqrt();
         if count(middle) > facets {
@@ -119,7 +123,6 @@ fn finest(facets: usize, name: &str, divided: &dyn Fn(f64) -> Pieces) -> Facets 
         } else {
             coarse = middle;
         }
-        // Finer than a million facets is not looked at again.
         if count(coarse) == facets {
             break;
         }

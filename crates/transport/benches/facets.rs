@@ -1,11 +1,14 @@
 //! View factors of a room with four boxes: time, error against a far stricter run, closure.
 //!
-//! `cargo bench -p luxel-transport --bench facets [-- N ...]`. CPU time of the process; figures
+//! `cargo bench -p luxel-transport --bench facets [-- [city] [compressed] N ...]`. With
+//! `compressed`: time, memory and error of the compressed matrix. CPU time of the process; figures
 //! are printed, nothing is asserted.
 
 use luxel_core::Facets;
 use luxel_scenes::{city_block, floating_boxes};
-use luxel_transport::facets::{Batch, Counts, ExchangeMatrix, FacetFactors, FacetSettings};
+use luxel_transport::facets::{
+    Batch, CompressedMatrix, Counts, ExchangeMatrix, FacetFactors, FacetSettings,
+};
 use std::time::Instant;
 
 fn main() {
@@ -27,6 +30,10 @@ fn main() {
         } else {
             floating_boxes(n)
         };
+        if words.iter().any(|w| w == "compressed") {
+            compressed(&facets);
+            continue;
+        }
         let (matrix, counts) = run(&facets, 1e-4);
         let sums = matrix.row_sums();
         let closure: f64 = sums.iter().map(|s| (1.0 - s).abs()).sum::<f64>() / sums.len() as f64;
@@ -42,32 +49,7 @@ fn main() {
             counts.error / matrix.areas.iter().sum::<f64>(),
         );
         if strict {
-            let cached = std::path::PathBuf::from(format!("/tmp/strict-{}.bin", facets.rows.len()));
-            let exact = if let Ok(b) = std::fs::read(&cached) {
-                let t: Vec<luxel_transport::facets::Triplet> = b
-                    .chunks_exact(12)
-                    .map(|c| luxel_transport::facets::Triplet {
-                        row: u32::from_le_bytes(c[0..4].try_into().unwrap()),
-                        column: u32::from_le_bytes(c[4..8].try_into().unwrap()),
-                        exchange: f32::from_le_bytes(c[8..12].try_into().unwrap()),
-                    })
-                    .collect();
-                ExchangeMatrix::new(&matrix.areas, t.iter().copied())
-            } else {
-                let (m, _) = run(&facets, 2e-6);
-                let mut b = Vec::new();
-                for i in 0..m.areas.len() {
-                    for k in m.offsets[i]..m.offsets[i + 1] {
-                        if m.columns[k] as usize >= i {
-                            b.extend((i as u32).to_le_bytes());
-                            b.extend(m.columns[k].to_le_bytes());
-                            b.extend(m.exchange[k].to_le_bytes());
-                        }
-                    }
-                }
-                std::fs::write(&cached, b).unwrap();
-                m
-            };
+            let (exact, _) = run(&facets, 2e-6);
             let mut sum = 0.0;
             for i in 0..sums.len() {
                 sum += difference(&matrix, &exact, i);
@@ -109,6 +91,82 @@ fn run(facets: &Facets, error: f64) -> (ExchangeMatrix, Counts) {
         counts.shadowed
     );
     (matrix, counts)
+}
+
+/// The compressed matrix, against rows that are computed singly.
+fn compressed(facets: &Facets) {
+    let n = facets.rows.len();
+    // What dividing the scene took, gigabytes for a large one, does not count: the peak is from
+    // here on.
+    let made = peak_mb();
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+    let (start, wall) = (cpu_s(), Instant::now());
+    let work = FacetFactors::new(facets, &FacetSettings::default());
+    let prepared = peak_mb();
+    let matrix = CompressedMatrix::assemble(&work);
+    println!(
+        "{n} facets compressed: {:.2} CPU s, {:.2} s; {:.1} MB, {:.0} bytes a facet; peak {:.0} MB ({made:.0} for the scene, {prepared:.0} to prepare)",
+        cpu_s() - start,
+        wall.elapsed().as_secs_f64(),
+        1e-6 * matrix.bytes() as f64,
+        matrix.bytes() as f64 / n as f64,
+        peak_mb(),
+    );
+    let stored = matrix.stored();
+    println!(
+        "  {} blocks: {:.2e} pairs in {:.2e} numbers; {} tiles, {:.2e} entries; {:.2e} shadowed",
+        stored.blocks,
+        stored.block_pairs as f64,
+        stored.block_numbers as f64,
+        stored.tiles,
+        stored.entries as f64,
+        matrix.counts.shadowed as f64,
+    );
+    // Two sources that differ: everything alike, and a few bright facets.
+    let alike = vec![1.0; n];
+    let few: Vec<f64> = (0..n).map(|i| f64::from(i % 97 == 0)).collect();
+    let mut y = vec![0.0; n];
+    let wall = Instant::now();
+    let times = 10;
+    for _ in 0..times {
+        matrix.apply(&alike, &mut y);
+    }
+    let apply = wall.elapsed().as_secs_f64() / times as f64;
+    let [a, b] = [&alike, &few].map(|x| matrix.measured_error(&work, x, 40));
+    let (mut sum, mut worst, mut most) = (0.0, 0.0_f64, 0.0_f64);
+    let rows: Vec<usize> = (n / 40..n).step_by((n / 20).max(1)).collect();
+    for &i in &rows {
+        let (got, exact) = (matrix.row(i as u32), work.exact_row(i as u32));
+        let differences = got
+            .iter()
+            .zip(&exact)
+            .map(|(g, e)| (g - e).abs() / matrix.areas[i]);
+        let all: f64 = differences.clone().sum();
+        sum += all / rows.len() as f64;
+        worst = worst.max(all);
+        most = most.max(differences.fold(0.0, f64::max));
+    }
+    println!(
+        "  product in {:.1} ms; error of {} rows: max {:.1e} rms {:.1e} of all alike, max {:.1e} rms {:.1e} of a few",
+        1e3 * apply,
+        a.rows,
+        a.max,
+        a.rms,
+        b.max,
+        b.rms,
+    );
+    println!(
+        "  sum over a row of |F - exact|: mean {sum:.1e}, worst {worst:.1e}; one factor at most {most:.1e}; peak {:.0} MB",
+        peak_mb()
+    );
+}
+
+/// Most memory that this process had, MB.
+fn peak_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    let kb = line.and_then(|l| l.split_whitespace().next()?.parse::<f64>().ok());
+    1e-3 * 1.024 * kb.unwrap_or(f64::NAN)
 }
 
 fn difference(one: &ExchangeMatrix, two: &ExchangeMatrix, row: usize) -> f64 {

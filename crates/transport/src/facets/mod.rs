@@ -5,6 +5,7 @@
 //! - [`walk`]: which pairs see each other freely, not at all, or in part
 //! - [`free`]: a pair with nothing between
 //! - [`shadow`]: a pair with something between
+//! - [`compressed`]: all pairs of very many facets in little memory
 //! - [`ring`], [`shaft`]: polygons to cut, space between boxes
 //!
 //! Computed is the exchange area G_ij = A_i F_ij of each pair, once, so A_i F_ij = A_j F_ji
@@ -13,6 +14,7 @@
 //! not depend on the number of threads.
 
 mod blockers;
+mod compressed;
 mod free;
 mod parts;
 mod ring;
@@ -23,6 +25,7 @@ mod tests;
 mod walk;
 
 use blockers::Plane;
+pub use compressed::{ApplyError, CompressedBatch, CompressedMatrix, Stored};
 use luxel_core::{DVec3, Facets, SparseRows};
 use parts::Parts;
 use rayon::prelude::*;
@@ -247,7 +250,7 @@ impl FacetFactors {
     /// order of row, above zero. Exact to rounding.
     pub fn from_point(&self, point: DVec3, normal: DVec3) -> Vec<(u32, f64)> {
         let mut found = Vec::new();
-        Walk::default().from_point(&self.ground, point, normal, &mut found);
+        Walk::default().all_from_point(&self.ground, point, normal, &mut found);
         // Parts of a row add up; stable, so that sums are the same each time.
         found.sort_by_key(|f| f.0);
         found.dedup_by(|later, first| {

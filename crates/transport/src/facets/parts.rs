@@ -77,7 +77,7 @@ impl Nodes {
                 nodes.weight.push(w);
             };
             part_nodes(&part.polygon.vertices, order, &mut each);
-            while nodes.x.len() % LANES != 0 {
+            while !nodes.x.len().is_multiple_of(LANES) {
                 nodes.x.push(part.centre.x);
                 nodes.y.push(part.centre.y);
                 nodes.z.push(part.centre.z);

@@ -115,7 +115,7 @@ pub(crate) fn between(
     scratch.outlines.edges.clear();
     scratch.outlines.faces.clear();
     for &blocker in blockers {
-        match Cast::new(blocker, s, r, asked.near_m, &mut scratch.outlines) {
+        match Cast::of(blocker, s, r, asked.near_m, &mut scratch.outlines) {
             Standing::Aside => {}
             Standing::Everywhere => return Exchange::default(),
             Standing::Between(cast) => {
@@ -168,7 +168,7 @@ pub(crate) fn seen_from(
     scratch.outlines.edges.clear();
     scratch.outlines.faces.clear();
     for &blocker in blockers {
-        match Cast::new(blocker, &[x], r, near_m, &mut scratch.outlines) {
+        match Cast::of(blocker, &[x], r, near_m, &mut scratch.outlines) {
             Standing::Aside => {}
             Standing::Everywhere => return 0.0,
             Standing::Between(cast) => casts.push(cast),
@@ -228,7 +228,7 @@ enum Standing<'a> {
 }
 
 impl<'a> Cast<'a> {
-    fn new(
+    fn of(
         blocker: &'a Blocker,
         s: &[DVec3],
         r: &[DVec3],

@@ -9,8 +9,9 @@
 //! Sources: pairs of clusters [Hanrahan91], [Teller93] for the blockers they carry.
 
 use super::blockers::{Blocker, Blockers, Plane};
+use super::compressed::{Packer, by_parts};
 use super::free::{self, Facing};
-use super::parts::{Cluster, Part, Parts};
+use super::parts::{Cluster, Parts};
 use super::shadow::{Asked, Exchange, Scratch, between, seen_from};
 use super::shaft::{BlockerTree, Shaft, box_corners, hides};
 use super::{Counts, Triplet};
@@ -43,9 +44,21 @@ pub(crate) struct Walk {
     scratch: Scratch,
     pub(crate) found: Vec<Triplet>,
     pub(crate) counts: Counts,
+    /// Takes free pairs of clusters; what is found is then by parts.
+    pub(crate) packer: Option<Packer>,
+    /// Only pairs of this part.
+    pub(crate) only: Option<usize>,
 }
 
 impl Walk {
+    /// A walk that compresses what it finds.
+    pub(crate) fn packing() -> Walk {
+        Walk {
+            packer: Some(Packer::default()),
+            ..Walk::default()
+        }
+    }
+
     /// All pairs of a part below `a` and one below `b`, each once.
     pub(crate) fn pair(&mut self, ground: &Ground, a: u32, b: u32) {
         self.candidates.clear();
@@ -65,6 +78,12 @@ impl Walk {
         }
         let clusters = &ground.parts.clusters;
         let (ca, cb) = (&clusters[a as usize], &clusters[b as usize]);
+        if let Some(part) = self.only
+            && !ca.run().contains(&part)
+            && !cb.run().contains(&part)
+        {
+            return;
+        }
         if a == b {
             if let (None, Some(first)) = (ca.flat, ca.children) {
                 self.visit(ground, first, first, candidates.clone());
@@ -169,7 +188,7 @@ impl Walk {
     }
 
     /// Factors from a point with a unit normal to all parts below a cluster, added by row.
-    pub(crate) fn from_point(
+    pub(crate) fn all_from_point(
         &mut self,
         ground: &Ground,
         x: DVec3,
@@ -244,6 +263,10 @@ impl Walk {
 
     /// Nothing stands between the two.
     fn free(&mut self, ground: &Ground, a: &Cluster, b: &Cluster) {
+        if let Some(packer) = &mut self.packer {
+            packer.free(ground, a, b, &mut self.found, &mut self.counts);
+            return;
+        }
         let relative = ground.relative();
         for i in a.run() {
             for j in b.run() {
@@ -255,7 +278,7 @@ impl Walk {
                 if facing != Facing::No {
                     let value = free::exchange(&ground.parts, (i, j), facing, relative);
                     self.counts.free += 1;
-                    self.put(p, q, value);
+                    self.put(ground, (i, j), value);
                 }
             }
         }
@@ -286,7 +309,7 @@ impl Walk {
                     found.value
                 };
                 self.candidates.truncate(start);
-                self.put(p, q, value);
+                self.put(ground, (i, j), value);
             }
         }
     }
@@ -366,13 +389,21 @@ impl Walk {
 
     #[inline]
     fn wants(&self, ground: &Ground, i: usize, j: usize) -> bool {
+        if self.only.is_some_and(|part| part != i && part != j) {
+            return false;
+        }
         let wanted = &ground.wanted_rows;
         wanted.contains(&ground.parts.list[i].row) || wanted.contains(&ground.parts.list[j].row)
     }
 
     #[inline]
-    fn put(&mut self, p: &Part, q: &Part, value: f64) {
+    fn put(&mut self, ground: &Ground, (i, j): (usize, usize), value: f64) {
         if value > 0.0 {
+            if self.packer.is_some() {
+                self.found.push(by_parts(i, j, value));
+                return;
+            }
+            let (p, q) = (&ground.parts.list[i], &ground.parts.list[j]);
             // Both ways within a row of several parts.
             let value = if p.row == q.row { 2.0 * value } else { value };
             self.found.push(Triplet {
@@ -386,7 +417,7 @@ impl Walk {
 
 impl Ground {
     /// Asked relative accuracy of free factors.
-    fn relative(&self) -> f64 {
+    pub(crate) fn relative(&self) -> f64 {
         (0.3 * self.error).clamp(1e-10, 3e-5)
     }
 }
@@ -406,7 +437,7 @@ fn sees(a: &Cluster, b: &Cluster, near_m: f64) -> bool {
 }
 
 /// Heights of a box over a plane.
-fn box_heights(plane: &Plane, low: DVec3, high: DVec3) -> (f64, f64) {
+pub(crate) fn box_heights(plane: &Plane, low: DVec3, high: DVec3) -> (f64, f64) {
     let middle = plane.height(0.5 * (low + high));
     let reach = (0.5 * (high - low)).dot(plane.normal.abs());
     (middle - reach, middle + reach)
