@@ -473,7 +473,9 @@ fn from_points(
         }
         rows.par_extend(chunk.par_iter().map(|point| {
             let position: DVec3 = point.position.as_dvec3();
-            let found = work.from_point(position, point.normal.as_dvec3());
+            // Its length is known to f32 only.
+            let normal = point.normal.as_dvec3().normalize_or_zero();
+            let found = work.from_point(position, normal);
             match &zones {
                 None => found,
                 Some(zones) => {

@@ -1,0 +1,223 @@
+//! `luxel factors` as a user runs it: matrices, zones, points, stop and resume.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// A room of 3 x 4 x 2.5 m with a box of 1 m on the floor, as two objects and two materials;
+/// fronts towards the air. The floor is a ring of four around the box.
+const ROOM: &str = "\
+o shell
+usemtl white
+v 0 0 0
+v 3 0 0
+v 3 4 0
+v 0 4 0
+v 0 0 2.5
+v 3 0 2.5
+v 3 4 2.5
+v 0 4 2.5
+v 1 1 0
+v 2 1 0
+v 2 2 0
+v 1 2 0
+v 1 1 1
+v 2 1 1
+v 2 2 1
+v 1 2 1
+f 1 2 10 9
+f 2 3 11 10
+f 3 4 12 11
+f 4 1 9 12
+f 5 8 7 6
+f 1 5 6 2
+f 2 6 7 3
+f 3 7 8 4
+f 4 8 5 1
+o box
+usemtl grey
+f 13 14 15 16
+f 9 10 14 13
+f 10 11 15 14
+f 11 12 16 15
+f 12 9 13 16
+";
+
+fn luxel(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_luxel"))
+        .args(arguments)
+        .output()
+        .expect("luxel runs")
+}
+
+fn words(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Writes the room, runs `luxel factors` on it and reads the triplets that it wrote.
+fn factors(folder: &Path, more: &[&str]) -> (Vec<(usize, usize, f64)>, serde_json::Value) {
+    let (scene, out) = (folder.join("room.obj"), folder.join("f.csv"));
+    std::fs::write(&scene, ROOM).expect("a scene");
+    let (scene, out) = (scene.display().to_string(), out.display().to_string());
+    let mut arguments = vec!["factors", &scene, "-o", &out];
+    arguments.extend(more);
+    let answer = luxel(&arguments);
+    assert!(answer.status.success(), "{}", words(&answer.stderr));
+    let text = std::fs::read_to_string(&out).expect("a matrix");
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("row,column,factor"));
+    let triplets = lines
+        .map(|line| {
+            let mut fields = line.split(',');
+            let mut next = || fields.next().expect("three fields");
+            (
+                next().parse().expect("a row"),
+                next().parse().expect("a column"),
+                next().parse().expect("a factor"),
+            )
+        })
+        .collect();
+    let report = std::fs::read(folder.join("f.json")).expect("a report");
+    (triplets, serde_json::from_slice(&report).expect("JSON"))
+}
+
+fn row_sum(triplets: &[(usize, usize, f64)], row: usize) -> f64 {
+    triplets.iter().filter(|t| t.0 == row).map(|t| t.2).sum()
+}
+
+#[test]
+fn rows_close_and_repair_says_what_it_did() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (triplets, report) = factors(folder.path(), &[]);
+    // Closed: a few times the promise of 1e-4 for each of 14 factors.
+    for row in 0..14 {
+        let sum = row_sum(&triplets, row);
+        assert!((sum - 1.0).abs() < 5e-4, "row {row}: {sum}");
+    }
+    assert_eq!(report["rows"], 14);
+    assert!(report["reciprocity_worst"].as_f64().expect("a number") < 1e-7);
+    let (repaired, report) = factors(folder.path(), &["--enclosed"]);
+    for row in 0..14 {
+        // What is stored has 24 bits.
+        assert!((row_sum(&repaired, row) - 1.0).abs() < 1e-6);
+    }
+    assert_eq!(report["repair"]["applied"], true);
+    let change = report["repair"]["largest_change"]
+        .as_f64()
+        .expect("a number");
+    assert!(change > 0.0 && change < 1e-2, "{change}");
+}
+
+#[test]
+fn zones_rows_and_points_are_parts_of_the_same() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (all, _) = factors(folder.path(), &[]);
+    let (some, _) = factors(folder.path(), &["--rows", "4..6"]);
+    let wanted: Vec<_> = all
+        .iter()
+        .copied()
+        .filter(|t| (4..6).contains(&t.0))
+        .collect();
+    assert_eq!(some, wanted);
+    let (to_zones, report) = factors(folder.path(), &["--by", "material", "--to-zones"]);
+    assert_eq!(report["zones"][1]["name"], "grey");
+    let to_box: f64 = all
+        .iter()
+        .filter(|t| t.0 == 4 && t.1 >= 9)
+        .map(|t| t.2)
+        .sum();
+    let found = to_zones
+        .iter()
+        .find(|t| (t.0, t.1) == (4, 1))
+        .expect("an entry")
+        .2;
+    assert!((to_box - found).abs() < 1e-12);
+    // The box sees nothing of itself: it is convex.
+    let (zones, _) = factors(folder.path(), &["--group", "crate=box"]);
+    assert!(!zones.iter().any(|t| (t.0, t.1) == (0, 0)));
+    assert!(
+        (zones
+            .iter()
+            .find(|t| (t.0, t.1) == (0, 1))
+            .expect("an entry")
+            .2
+            - 1.0)
+            .abs()
+            < 5e-4
+    );
+    // A point sees as much in all directions as there is: 1. Exact.
+    let points = folder.path().join("points.txt");
+    std::fs::write(&points, "0.5 0.5 1.2  0 0 1\n2.5 3 0.1  1 1 -0.4\n").expect("points");
+    let points = points.display().to_string();
+    let (seen, report) = factors(folder.path(), &["--points", &points]);
+    assert_eq!(report["finished_rows"], 2);
+    for row in 0..2 {
+        assert!((row_sum(&seen, row) - 1.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn mistakes_end_in_one_line_and_exit_code_2() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("room.obj");
+    std::fs::write(&scene, ROOM).expect("a scene");
+    let broken = folder.path().join("broken.stl");
+    std::fs::write(
+        &broken,
+        "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\n",
+    )
+    .expect("a file");
+    let (scene, broken) = (scene.display().to_string(), broken.display().to_string());
+    for (arguments, said) in [
+        (vec!["factors", &scene, "-o", "f.txt"], ".npz, .csv or .mtx"),
+        (vec!["factors", &scene, "-o", &scene], ".npz"),
+        (vec!["factors", &broken], "broken.stl:4: expected"),
+        (vec!["factors", &scene, "--rows", "14..20"], "rows below 14"),
+        (vec!["factors", &scene, "--group", "a=nobody"], "'nobody'"),
+        (vec!["factors", &scene, "--to-zones"], "--by or --group"),
+        (vec!["factors", "missing.ply"], "missing.ply"),
+        (
+            vec!["factors", &scene, "--error", "2"],
+            "expected a number from",
+        ),
+    ] {
+        let out = luxel(&arguments);
+        assert_eq!(out.status.code(), Some(2), "{arguments:?}");
+        assert!(words(&out.stderr).contains(said), "{}", words(&out.stderr));
+    }
+    assert_eq!(std::fs::read_to_string(&scene).expect("still there"), ROOM);
+}
+
+/// SIGINT is what Ctrl-C sends.
+#[cfg(unix)]
+#[test]
+fn a_stop_keeps_finished_rows_and_resume_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("boxes.obj");
+    let facets = luxel_scenes::floating_boxes(1500);
+    std::fs::write(&scene, luxel_scenes::facets::to_obj(&facets)).expect("a scene");
+    let run = |more: &[&str], output: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_luxel"));
+        command.args(["factors", "-q"]).arg(&scene);
+        command.arg("-o").arg(folder.path().join(output)).args(more);
+        command
+    };
+    let mut child = run(&[], "f.csv").spawn().expect("luxel runs");
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    // SAFETY: kill sends a signal to the child, which is ours and not yet waited for.
+    unsafe { libc::kill(child.id() as i32, libc::SIGINT) };
+    let status = child.wait().expect("it ends");
+    if status.code() == Some(1) {
+        // A fast machine may have finished.
+        assert!(folder.path().join("f.csv.part").exists());
+        assert!(folder.path().join("f.csv").exists());
+    }
+    let resumed = run(&["--resume"], "f.csv").status().expect("luxel runs");
+    assert_eq!(resumed.code(), Some(0));
+    assert!(!folder.path().join("f.csv.part").exists());
+    assert_eq!(
+        run(&[], "g.csv").status().expect("luxel runs").code(),
+        Some(0)
+    );
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a matrix");
+    assert!(read("f.csv") == read("g.csv"), "the same bits as in one go");
+}
