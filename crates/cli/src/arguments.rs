@@ -1,8 +1,9 @@
 //! The command line: what each command and flag means, and how its units are written.
 
 use clap::{Args, Parser, Subcommand};
+use luxel::factors::FactorPoint;
 use luxel::factors::zones::{By, ZoneWishes, parse_rows};
-use luxel::{Back, FactorsJob, MeshKind, Precision, Receiver, Settings, SolverKind, Up, units};
+use luxel::{Back, FactorsJob, MeshKind, Precision, Settings, SolverKind, Up, units};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -248,7 +249,7 @@ pub struct Run {
 
 impl Factors {
     /// The job for the library; `points` are those of `--points`, read.
-    pub fn job(&self, points: Option<Vec<Receiver>>) -> FactorsJob {
+    pub fn job(&self, points: Option<Vec<FactorPoint>>) -> FactorsJob {
         FactorsJob {
             scene: self.scene.clone(),
             output: self.output.clone(),
@@ -266,6 +267,7 @@ impl Factors {
             },
             to_zones: self.to_zones,
             points,
+            spared: self.points.iter().map(PathBuf::from).collect(),
             enclosed: self.enclosed,
             resume: self.resume,
             precision: match self.precision.as_str() {

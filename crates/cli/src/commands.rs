@@ -2,7 +2,8 @@
 
 use crate::arguments::{Arguments, Command, Factors, Inspect, Light, Probe, Verify, settings};
 use crate::terminal;
-use luxel::{Control, LightJob, Receiver, Session, Status, points};
+use luxel::factors::FactorPoint;
+use luxel::{Control, DVec3, LightJob, Session, Status, points};
 use std::io::{Read, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -119,7 +120,8 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
 
 fn probe(arguments: &Probe) -> Result<Outcome, String> {
     threads(arguments.common.threads)?;
-    let receivers = receivers(&arguments.points, arguments.common.memory)?;
+    let (place, text) = text_of(&arguments.points, arguments.common.memory)?;
+    let receivers = points::parse(place, &text)?;
     let stop = stop_on_interrupt();
     let settings = settings(&arguments.scene, Some(&arguments.solve), &arguments.common);
     let mut progress = terminal::Progress::new(arguments.common.quiet);
@@ -155,8 +157,8 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     Ok(Outcome::of(answer.reached))
 }
 
-/// Points of a file, or of standard input for `-`.
-fn receivers(from: &str, memory: u64) -> Result<Vec<Receiver>, String> {
+/// The text of a file, or of standard input for `-`, and what to call it.
+fn text_of(from: &str, memory: u64) -> Result<(&str, String), String> {
     let (place, text) = if from == "-" {
         (
             "standard input",
@@ -167,14 +169,27 @@ fn receivers(from: &str, memory: u64) -> Result<Vec<Receiver>, String> {
         (from, read_bounded(file, memory))
     };
     let text = text.map_err(|e| format!("{place}: {e}"))?;
-    points::parse(place, &text)
+    Ok((place, text))
+}
+
+/// Points with normals in full precision.
+fn factor_points(from: &str, memory: u64) -> Result<Vec<FactorPoint>, String> {
+    let (place, text) = text_of(from, memory)?;
+    let point = |[x, y, z, nx, ny, nz]: [f64; 6]| FactorPoint {
+        position: DVec3::new(x, y, z),
+        normal: DVec3::new(nx, ny, nz),
+    };
+    Ok(points::lines(place, &text)?
+        .into_iter()
+        .map(point)
+        .collect())
 }
 
 fn factors(arguments: &Factors) -> Result<Outcome, String> {
     let run = &arguments.run;
     threads(run.threads)?;
     let points = match &arguments.points {
-        Some(from) => Some(receivers(from, run.memory)?),
+        Some(from) => Some(factor_points(from, run.memory)?),
         None => None,
     };
     let stop = stop_on_interrupt();

@@ -24,7 +24,7 @@ pub use error::Error;
 pub use factors::{FactorsJob, FactorsOutcome, factors};
 pub use inspect::{Inspection, inspect};
 pub use light::{LightJob, Outcome, light};
-pub use luxel_core::{Scene, Solution, Vec3, Warnings};
+pub use luxel_core::{DVec3, Scene, Solution, Vec3, Warnings};
 pub use luxel_gather::{Accuracy, Irradiance, Receiver};
 pub use luxel_io::{Back, Precision, ReadOptions, Up};
 pub use luxel_mesh::Kind as MeshKind;

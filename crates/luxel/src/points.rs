@@ -4,18 +4,27 @@
 //! of different programs can be compared column by column.
 
 use luxel_core::layers::BANDS;
-use luxel_core::{Layers, Vec3};
+use luxel_core::{DVec3, Layers, Vec3};
 use luxel_gather::{Irradiance, Receiver};
 use std::fmt::Write;
 
 /// Longest line that is read as numbers.
 const LONGEST_LINE: usize = 4096;
 
-/// Reads receivers, one a line: place in metres and normal, separated by blanks, tabs or commas.
-/// Empty lines and lines that begin with `#` are passed over. Normals are made unit vectors.
+/// Reads receivers, one a line, as [`lines`].
+pub fn parse(place: &str, text: &str) -> Result<Vec<Receiver>, String> {
+    let receiver = |[x, y, z, nx, ny, nz]: [f64; 6]| Receiver {
+        position: Vec3::new(x as f32, y as f32, z as f32),
+        normal: Vec3::new(nx as f32, ny as f32, nz as f32),
+    };
+    Ok(lines(place, text)?.into_iter().map(receiver).collect())
+}
+
+/// Reads places in metres and normals, one a line, separated by blanks, tabs or commas. Empty
+/// lines and lines that begin with `#` are passed over. Normals are made unit vectors.
 ///
 /// An error names `place`, the line, what was expected and what was found.
-pub fn parse(place: &str, text: &str) -> Result<Vec<Receiver>, String> {
+pub fn lines(place: &str, text: &str) -> Result<Vec<[f64; 6]>, String> {
     // Some editors begin a text with a mark of its encoding.
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut receivers = Vec::new();
@@ -38,20 +47,17 @@ pub fn parse(place: &str, text: &str) -> Result<Vec<Receiver>, String> {
             .split(|c: char| c.is_whitespace() || c == ',')
             .filter(|w| !w.is_empty())
         {
-            match word.parse::<f32>() {
-                Ok(v) if v.is_finite() => numbers.push(v),
+            match word.parse::<f64>() {
+                Ok(v) if v.abs() <= f32::MAX as f64 => numbers.push(v),
                 _ => return Err(wrong(&format!("'{word}'"))),
             }
         }
         if numbers.len() != 6 {
             return Err(wrong(&format!("{}", numbers.len())));
         }
-        let normal = Vec3::new(numbers[3], numbers[4], numbers[5]);
-        match normal.as_dvec3().try_normalize() {
-            Some(unit) => receivers.push(Receiver {
-                position: Vec3::new(numbers[0], numbers[1], numbers[2]),
-                normal: unit.as_vec3(),
-            }),
+        let normal = DVec3::new(numbers[3], numbers[4], numbers[5]);
+        match normal.try_normalize() {
+            Some(n) => receivers.push([numbers[0], numbers[1], numbers[2], n.x, n.y, n.z]),
             None => return Err(wrong("a normal of length 0")),
         }
     }

@@ -10,7 +10,6 @@ use crate::error::Error;
 use crate::stage::{Clock, Stage, peak_memory_bytes};
 use crate::watch::{Control, Status, Watch, enter};
 use luxel_core::{DVec3, Facets, SparseRows, Warnings};
-use luxel_gather::Receiver;
 use luxel_io::{
     Batch as StoredBatch, BatchEntry, BatchFile, FacetDocument, FacetOptions, FactorFormat,
     Precision, WriteError, facets_fingerprint, read_facets, write_factors,
@@ -28,6 +27,14 @@ use zones::{Table, ZoneWishes, Zones};
 
 /// Work is kept at most this often.
 const KEEP_EVERY: Duration = Duration::from_secs(5);
+
+/// Rows that miss 1 by more than this on the mean, or a factor that would change by more than
+/// that share of itself, are no errors of closed scenes.
+const MOST_GAP: f64 = 0.02;
+const MOST_CHANGE: f64 = 0.1;
+
+/// A row may sum to 1 and this many times the promise.
+const MOST_ABOVE: f64 = 20.0;
 
 /// Bytes of an entry while it is found, and twice when it is stored.
 const ENTRY_BYTES: u64 = 12 + 16;
@@ -54,7 +61,9 @@ pub struct FactorsJob {
     /// Whether rows stay facets where columns are zones.
     pub to_zones: bool,
     /// Points to compute factors from, instead of from facets.
-    pub points: Option<Vec<Receiver>>,
+    pub points: Option<Vec<FactorPoint>>,
+    /// Files that must not be replaced, besides the scene.
+    pub spared: Vec<PathBuf>,
     /// Whether to repair closure: the scene is closed.
     pub enclosed: bool,
     /// Whether to go on with work that was stopped.
@@ -63,6 +72,15 @@ pub struct FactorsJob {
     pub precision: Precision,
     /// Most memory to use, bytes.
     pub memory: u64,
+}
+
+/// A point to compute factors from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FactorPoint {
+    /// Place, metres, in the coordinates of the scene after scaling.
+    pub position: DVec3,
+    /// Unit normal.
+    pub normal: DVec3,
 }
 
 /// What came of it.
@@ -90,7 +108,14 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         .clone()
         .unwrap_or_else(|| job.scene.with_extension("factors.npz"));
     FactorFormat::of(&output).map_err(|e| Error::Setting(e.to_string()))?;
-    spare_the_scene(&job.scene, &output)?;
+    for file in std::iter::once(&job.scene).chain(&job.spared) {
+        spare(file, &output)?;
+    }
+    if job.points.as_ref().is_some_and(Vec::is_empty) {
+        return Err(Error::Setting(
+            "--points: expected at least one point, found none".into(),
+        ));
+    }
     let options = FacetOptions {
         scale: job.scale,
         flip: job.flip,
@@ -149,22 +174,28 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
     if asked.enclosed {
         let repair = repair(&matrix);
         report.repaired(&repair, &matrix);
-        if complete && asked.all_rows(areas.len()) && repair.negative.is_none() {
+        let open = repair.before.mean > MOST_GAP || repair.largest_change > MOST_CHANGE;
+        let place = document.facets.name.clone();
+        if repair.negative.is_some() || open {
+            let (gap, row) = (repair.before.worst, repair.before.worst_at.unwrap_or(0));
+            let what = format!(
+                "closure is not repaired: the scene is not closed, row {row} misses 1 by {gap:.3}"
+            );
+            document.warnings.add(place, what, 1);
+        } else if complete && asked.all_rows(areas.len()) {
             apply(&mut matrix, &repair);
             report.applied(&matrix);
-        } else if repair.negative.is_some() {
-            document.warnings.add(
-                document.facets.name.clone(),
-                "closure is not repaired: factors would become negative, so the scene is not closed",
-                1,
-            );
         } else {
-            document.warnings.add(
-                document.facets.name.clone(),
-                "closure is not repaired: that takes all rows",
-                1,
-            );
+            let what = "closure is not repaired: that takes all rows";
+            document.warnings.add(place, what, 1);
         }
+    }
+    if report.row_sum_largest > 1.0 + MOST_ABOVE * asked.error {
+        let what = format!(
+            "a row sums to {:.4}: do facets lie in one another, or twice in one place?",
+            report.row_sum_largest
+        );
+        document.warnings.add(document.facets.name.clone(), what, 1);
     }
     let facets = &document.facets;
     let kept = Kept {
@@ -301,7 +332,7 @@ fn compute(
     while found.done < work.batches() {
         let advanced = share - start_share;
         let status = Status {
-            share: share / total.max(f64::MIN_POSITIVE),
+            share: (share / total.max(f64::MIN_POSITIVE)).max(0.0),
             left_s: (advanced > 0.02 * total)
                 .then(|| began.elapsed().as_secs_f64() * (total - share) / advanced),
             ..Status::begin(Stage::Factors)
@@ -314,7 +345,10 @@ fn compute(
         if stop {
             break;
         }
-        let batch = work.compute(found.done);
+        let Some(batch) = watched(work, found.done, &status, watch) else {
+            keep(&mut found, kept, part, fingerprint)?;
+            break;
+        };
         entries += batch.found.len() as u64;
         found.counts.add(&batch.counts);
         found.batches.push(batch);
@@ -334,6 +368,33 @@ fn compute(
         }
     }
     Ok(found)
+}
+
+/// Computes a batch and asks the watcher now and then; nothing if it wants no more.
+fn watched(
+    work: &FacetFactors,
+    batch: usize,
+    status: &Status,
+    watch: &mut Watch<'_>,
+) -> Option<Batch> {
+    const EVERY: Duration = Duration::from_millis(50);
+    std::thread::scope(|scope| {
+        let (send, receive) = std::sync::mpsc::channel();
+        scope.spawn(move || send.send(work.compute(batch)));
+        loop {
+            match receive.recv_timeout(EVERY) {
+                Ok(batch) => return Some(batch),
+                Err(std::sync::mpsc::RecvTimeoutError::Timeout) => {
+                    if watch(status) == Control::Stop {
+                        work.stop();
+                        return None;
+                    }
+                }
+                // The computing thread panicked; the scope passes that on.
+                Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => return None,
+            }
+        }
+    })
 }
 
 /// Appends the batches from `first` on to the file of the work.
@@ -452,7 +513,7 @@ fn from_points(
     job: &FactorsJob,
     document: &FacetDocument,
     work: &FacetFactors,
-    points: &[Receiver],
+    points: &[FactorPoint],
     zones: Option<Zones>,
     mut report: FactorsReport,
     mut clock: Clock,
@@ -472,10 +533,7 @@ fn from_points(
             break;
         }
         rows.par_extend(chunk.par_iter().map(|point| {
-            let position: DVec3 = point.position.as_dvec3();
-            // Its length is known to f32 only.
-            let normal = point.normal.as_dvec3().normalize_or_zero();
-            let found = work.from_point(position, normal);
+            let found = work.from_point(point.position, point.normal);
             match &zones {
                 None => found,
                 Some(zones) => {
@@ -541,15 +599,15 @@ fn beside(output: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// The report lies beside the output as `.json`; neither may replace the scene.
-fn spare_the_scene(scene: &Path, output: &Path) -> Result<(), Error> {
-    let Ok(scene) = scene.canonicalize() else {
+/// The report lies beside the output as `.json`; neither may replace what is read.
+fn spare(input: &Path, output: &Path) -> Result<(), Error> {
+    let Ok(input) = input.canonicalize() else {
         return Ok(());
     };
     for path in [output.to_owned(), output.with_extension("json")] {
-        if path.canonicalize().is_ok_and(|p| p == scene) {
+        if path.canonicalize().is_ok_and(|p| p == input) {
             return Err(Error::Setting(format!(
-                "{}: expected an output that does not replace the scene",
+                "{}: expected an output that does not replace what is read",
                 path.display()
             )));
         }

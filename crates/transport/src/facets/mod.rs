@@ -31,6 +31,7 @@ use parts::Parts;
 use rayon::prelude::*;
 use shaft::BlockerTree;
 use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 use walk::{Ground, Walk};
 
 /// What is asked of the factors.
@@ -110,6 +111,18 @@ pub struct FacetFactors {
     areas: Vec<f64>,
 }
 
+/// A polygon as it is, or in triangles if its corners do not lie in one plane: what is bent would
+/// stand in its own way.
+pub(crate) fn unbent(corners: &[DVec3], near_m: f64) -> Vec<Vec<DVec3>> {
+    let (low, high) = Plane::of(corners).heights(corners);
+    if corners.len() <= 3 || high.max(-low) <= 0.5 * near_m {
+        return vec![corners.to_vec()];
+    }
+    (1..corners.len() - 1)
+        .map(|k| vec![corners[0], corners[k], corners[k + 1]])
+        .collect()
+}
+
 /// Parts of a block at least.
 const LEAST_BLOCK: usize = 32;
 /// Blocks at most, about.
@@ -135,20 +148,10 @@ impl FacetFactors {
             .flat_map(|p| &p.polygon.vertices)
             .map(|v| v.abs().max_element())
             .fold(0.0, f64::max);
-        // A polygon that is bent must not stand in its own way.
-        let bend = facets
-            .parts
-            .iter()
-            .map(|p| {
-                let (low, high) = Plane::of(&p.polygon.vertices).heights(&p.polygon.vertices);
-                high.max(-low)
-            })
-            .fold(0.0, f64::max);
-        let near_m = (1.5 * facets.rounding_m)
-            .max(1e-13 * largest)
-            .max(2.0 * bend);
+        let near_m = (1.5 * facets.rounding_m).max(4e-12 * largest);
         let parts = Parts::new(facets, near_m);
-        let blockers = blockers::merge(blockers, facets.rounding_m);
+        let flat: Vec<Vec<DVec3>> = blockers.iter().flat_map(|b| unbent(b, near_m)).collect();
+        let blockers = blockers::merge(&flat, facets.rounding_m);
         let tree = BlockerTree::new(&blockers.list);
         let rows = facets.rows.len();
         let wanted_rows = settings.rows.start..settings.rows.end.min(rows as u32);
@@ -185,10 +188,17 @@ impl FacetFactors {
                 rows: rows.max(1),
                 wanted,
                 wanted_rows,
+                stop: AtomicBool::new(false),
             },
             blocks,
             areas: facets.areas(),
         }
+    }
+
+    /// Ends what is being computed, from any thread; what [`FacetFactors::compute`] then returns
+    /// is not whole.
+    pub fn stop(&self) {
+        self.ground.stop.store(true, Ordering::Relaxed);
     }
 
     /// Number of batches.

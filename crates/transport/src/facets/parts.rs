@@ -7,6 +7,7 @@
 
 use super::blockers::{Plane, bounds};
 use super::shaft::longest_axis;
+use super::unbent;
 use crate::quadrature::gauss;
 use luxel_core::{DVec3, Facets, Polygon};
 use std::collections::HashMap;
@@ -169,18 +170,19 @@ impl Parts {
     pub(crate) fn new(facets: &Facets, near_m: f64) -> Parts {
         let mut list = Vec::with_capacity(facets.parts.len());
         for part in facets.parts.iter().filter(|p| p.row != Facets::NO_ROW) {
-            let v = &part.polygon.vertices;
-            // A fan of pieces with few corners each.
-            let mut k = 1;
-            while k + 1 < v.len() {
-                let end = (k + MOST_CORNERS - 2).min(v.len() - 1);
-                let mut corners = vec![v[0]];
-                corners.extend_from_slice(&v[k..=end]);
-                let piece = Part::new(Polygon::new(corners), part.row);
-                if piece.area > 0.0 {
-                    list.push(piece);
+            for v in unbent(&part.polygon.vertices, near_m) {
+                // A fan of pieces with few corners each.
+                let mut k = 1;
+                while k + 1 < v.len() {
+                    let end = (k + MOST_CORNERS - 2).min(v.len() - 1);
+                    let mut corners = vec![v[0]];
+                    corners.extend_from_slice(&v[k..=end]);
+                    let piece = Part::new(Polygon::new(corners), part.row);
+                    if piece.area > 0.0 {
+                        list.push(piece);
+                    }
+                    k = end;
                 }
-                k = end;
             }
         }
         let mut order: Vec<u32> = (0..list.len() as u32).collect();
@@ -202,19 +204,34 @@ impl Parts {
         parts
     }
 
-    /// A number for the plane of each part, the same for the same plane.
+    /// A number for the plane of each part. The same number only where all corners lie in the
+    /// plane of the first that has it.
     fn planes(&self, near_m: f64) -> Vec<u32> {
-        let mut known: HashMap<[i64; 4], u32> = HashMap::new();
-        let cell = near_m.max(1e-12);
+        let mut known: HashMap<[i64; 4], Vec<u32>> = HashMap::new();
+        let mut firsts: Vec<usize> = Vec::new();
         let turn = 1e-6;
         self.list
             .iter()
-            .map(|part| {
+            .enumerate()
+            .map(|(k, part)| {
                 let n = (part.plane.normal / turn).round();
-                let offset = (part.plane.offset / (16.0 * cell)).round();
+                let offset = (part.plane.offset / (16.0 * near_m.max(1e-12))).round();
                 let key = [n.x as i64, n.y as i64, n.z as i64, offset as i64];
-                let next = known.len() as u32;
-                *known.entry(key).or_insert(next)
+                let alike = known.entry(key).or_default();
+                let same = alike.iter().find(|&&number| {
+                    let plane = &self.list[firsts[number as usize]].plane;
+                    let (low, high) = plane.heights(&part.polygon.vertices);
+                    high.max(-low) <= near_m
+                });
+                match same {
+                    Some(&number) => number,
+                    None => {
+                        let number = firsts.len() as u32;
+                        firsts.push(k);
+                        alike.push(number);
+                        number
+                    }
+                }
             })
             .collect()
     }

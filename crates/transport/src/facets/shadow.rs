@@ -22,6 +22,7 @@ use super::blockers::{Blocker, Edge, Plane};
 use super::ring::{Chart, Line, Ring};
 use super::shaft::kept_apart;
 use crate::lambert::above_horizon;
+use crate::polygon_pair::exchange_area;
 use luxel_core::glam::DVec2;
 use luxel_core::{DVec3, Polygon};
 use std::cmp::Ordering;
@@ -140,11 +141,13 @@ pub(crate) fn between(
     let (area, centroid) = whole.moments();
     let view = View {
         pair: &pair,
+        to: receiver,
         receiver: &whole,
         receiver_area: area,
         receiver_middle: pair.to.space(centroid),
         casts: &casts,
         outlines: &outlines,
+        near_m: asked.near_m,
     };
     critical_lines(&view, s, &start, r, asked.near_m, &mut scratch.cuts);
     let found = by_pieces(&view, start, asked, scratch);
@@ -192,11 +195,13 @@ pub(crate) fn seen_from(
     let (area, centroid) = whole.moments();
     let view = View {
         pair: &pair,
+        to,
         receiver: &whole,
         receiver_area: area,
         receiver_middle: pair.to.space(centroid),
         casts: &casts,
         outlines: &outlines,
+        near_m,
     };
     let (hidden, all) = hidden_from(&view, DVec2::ZERO, scratch);
     scratch.outlines = outlines;
@@ -342,7 +347,7 @@ impl<'a> Cast<'a> {
         let chart = &view.pair.to;
         dark.set(view.receiver);
         if let Some(blocker) = &self.turning {
-            return turning_shadow(blocker, point, chart, dark, looks);
+            return turning_shadow(blocker, point, chart, dark, looks, view.near_m);
         }
         for &(a, b) in &view.outlines.edges[self.edges.clone()] {
             let inward = (b - point).cross(a - point);
@@ -364,14 +369,17 @@ fn turning_shadow(
     chart: &Chart,
     dark: &mut Ring,
     looks: &mut Vec<f64>,
+    near_m: f64,
 ) {
     let single = !blocker.is_solid();
     looks.clear();
     for face in &blocker.faces {
         let height = face.height(point);
-        let look = if height > 0.0 {
+        // In the plane of a face counts as looking at it: a point below something that stands on
+        // its plane is then wholly dark.
+        let look = if height >= -near_m {
             1.0
-        } else if single && height < 0.0 {
+        } else if single {
             -1.0
         } else {
             0.0
@@ -595,11 +603,13 @@ impl Ord for Waiting {
 /// What the points of a sender are asked about.
 struct View<'a> {
     pair: &'a Pair,
+    to: &'a Polygon,
     receiver: &'a Ring,
     receiver_area: f64,
     receiver_middle: DVec3,
     casts: &'a [Cast<'a>],
     outlines: &'a Outlines,
+    near_m: f64,
 }
 
 /// Rule of few nodes on each piece of the sender; the worst pieces are halved.
@@ -683,25 +693,37 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
         });
     }
     scratch.counts[1] += pieces.len() as u64;
-    scratch.cells = pieces;
-    scratch.found = found;
     let Found { hidden, all, error } = sum;
     // Up to rounding of the sums.
-    if hidden >= all * (1.0 - 1e-12) {
-        return Exchange::default();
+    let settled = if hidden >= all * (1.0 - 1e-12) {
+        Some(0.0)
+    } else if hidden <= all * 1e-12 {
+        Some(asked.free)
+    } else {
+        None
+    };
+    if let Some(value) = settled {
+        scratch.cells = pieces;
+        scratch.found = found;
+        return Exchange { value, error: 0.0 };
     }
-    if hidden <= all * 1e-12 {
-        return Exchange {
-            value: asked.free,
-            error: 0.0,
-        };
-    }
-    // Where the rule is good for the whole, the share of it that is hidden is better still.
-    let value = if view.pair.far || (all - asked.free).abs() < 0.02 * asked.free {
+    // Where the rule is good for the whole, the hidden share is better still. Where the kernel is
+    // too steep for it, each piece counts with its exact free value.
+    let value = if view.pair.far || (all - asked.free).abs() <= asked.tolerance {
         asked.free * (1.0 - hidden / all)
     } else {
-        asked.free - hidden
+        let exact = |(piece, f): (&Ring, &Found)| {
+            if f.all <= f.hidden {
+                return 0.0;
+            }
+            let corners = piece.corners().iter().map(|&c| view.pair.from.space(c));
+            let piece = Polygon::new(corners.collect());
+            exchange_area(&piece, view.to, 1e-6) * (1.0 - f.hidden / f.all)
+        };
+        pieces.iter().zip(&found).map(exact).sum()
     };
+    scratch.cells = pieces;
+    scratch.found = found;
     Exchange {
         value: value.clamp(0.0, asked.free),
         error: error.max(0.0) * scale,

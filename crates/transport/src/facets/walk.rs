@@ -18,6 +18,7 @@ use super::{Counts, Triplet};
 use crate::polygon_pair::{exchange_area, facing_parts};
 use luxel_core::DVec3;
 use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Candidates up to which each is asked whether it hides two whole clusters.
 const FEW: usize = 24;
@@ -34,6 +35,8 @@ pub(crate) struct Ground {
     /// Whether a cluster holds a wanted row.
     pub(crate) wanted: Vec<bool>,
     pub(crate) wanted_rows: Range<u32>,
+    /// Set by whoever wants no more: walks end at once, with a part of what they are for.
+    pub(crate) stop: AtomicBool,
 }
 
 /// One walk: buffers and what it found.
@@ -73,6 +76,9 @@ impl Walk {
     }
 
     fn visit(&mut self, ground: &Ground, a: u32, b: u32, candidates: Range<usize>) {
+        if ground.stop.load(Ordering::Relaxed) {
+            return;
+        }
         if !ground.wanted[a as usize] && !ground.wanted[b as usize] {
             return;
         }
@@ -245,7 +251,9 @@ impl Walk {
                     }
                     let before = self.candidates.len();
                     let shaft = Shaft::new((x, x), (part.low, part.high), ground.near_m);
-                    self.narrow(ground, &shaft, kept.clone(), 0.0, |_| false);
+                    self.narrow(ground, &shaft, kept.clone(), 0.0, |blocker| {
+                        part.plane.heights(&blocker.corners).1 <= ground.near_m
+                    });
                     let corners = &part.polygon.vertices;
                     let blockers = self.blockers(ground, before, &[x], corners);
                     self.candidates.truncate(before);
@@ -290,7 +298,7 @@ impl Walk {
         let start = self.candidates.len();
         for i in a.run() {
             for j in b.run() {
-                if !self.wants(ground, i, j) {
+                if !self.wants(ground, i, j) || ground.stop.load(Ordering::Relaxed) {
                     continue;
                 }
                 let (p, q) = (&ground.parts.list[i], &ground.parts.list[j]);
@@ -299,7 +307,12 @@ impl Walk {
                     continue;
                 }
                 let shaft = Shaft::new((p.low, p.high), (q.low, q.high), ground.near_m);
-                self.narrow(ground, &shaft, candidates.clone(), 0.0, |_| false);
+                self.narrow(ground, &shaft, candidates.clone(), 0.0, |blocker| {
+                    // Behind one of them, or in its plane.
+                    [p, q]
+                        .iter()
+                        .any(|part| part.plane.heights(&blocker.corners).1 <= ground.near_m)
+                });
                 let value = if self.candidates.len() == start {
                     self.counts.free += 1;
                     free::exchange(&ground.parts, (i, j), facing, relative)
