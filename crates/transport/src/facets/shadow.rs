@@ -31,7 +31,7 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 /// Critical lines along which a sender is cut, at most.
-const MOST_CUTS: usize = 64;
+const MOST_CUTS: usize = 160;
 /// Pieces that cutting may make, about; more lines are then left to halving.
 const MOST_PIECES: usize = 400;
 /// Shadows that a pair may cut, about, one a point and blocker: bounds the time for pairs with a

@@ -363,7 +363,12 @@ impl Walk {
             near_m: ground.near_m,
             sliver: (0.63 * relative.sqrt()).min(0.05),
             far: 0.19 / relative.sqrt(),
-            small: (4.7 * relative.sqrt()).min(0.2),
+            // Of a factor that matters every piece is looked at twice.
+            small: if relative < 3.0 * ground.error {
+                0.0
+            } else {
+                (4.7 * relative.sqrt()).min(0.2)
+            },
         };
         between(from, to, &blockers, &asked, &mut self.scratch)
     }
