@@ -171,7 +171,10 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
     let mut matrix = assembled(&areas, &found.batches, job.threshold, &mut lost);
     report.counts(&found.counts, &areas);
     report.before(&matrix, &keep, &lost);
-    if asked.enclosed {
+    if asked.enclosed && !(complete && asked.all_rows(areas.len())) {
+        let what = "closure is not repaired: that takes all rows";
+        document.warnings.add(document.facets.name.clone(), what, 1);
+    } else if asked.enclosed {
         let repair = repair(&matrix);
         report.repaired(&repair, &matrix);
         let open = repair.before.mean > MOST_GAP || repair.largest_change > MOST_CHANGE;
@@ -182,12 +185,9 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
                 "closure is not repaired: the scene is not closed, row {row} misses 1 by {gap:.3}"
             );
             document.warnings.add(place, what, 1);
-        } else if complete && asked.all_rows(areas.len()) {
+        } else {
             apply(&mut matrix, &repair);
             report.applied(&matrix);
-        } else {
-            let what = "closure is not repaired: that takes all rows";
-            document.warnings.add(place, what, 1);
         }
     }
     if report.row_sum_largest > 1.0 + MOST_ABOVE * asked.error {

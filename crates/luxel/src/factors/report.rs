@@ -296,7 +296,7 @@ impl FactorsReport {
             format!("{} ({} blockers after merging)", self.rows, self.blockers),
         );
         line("factors above zero", self.entries.to_string());
-        if !self.row_area_m2.is_empty() || self.zones.is_some() {
+        if !self.row_area_m2.is_empty() || self.zone_factors.is_some() {
             line(
                 "closure |1 - sum|",
                 format!(
