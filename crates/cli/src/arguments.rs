@@ -49,13 +49,10 @@ pub enum Command {
 
 /// Flags that every command understands.
 #[derive(Args, Debug, Clone)]
-pub struct Common {
+pub struct Run {
     /// Threads to use; 0 takes all cores. Results do not depend on it
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub threads: usize,
-    /// Seed of every random number; the same seed gives the same bits
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u32,
     /// Most memory to use, as 4GB
     #[arg(long, value_name = "BYTES", default_value = "4GB", value_parser = units::bytes)]
     pub memory: u64,
@@ -65,6 +62,16 @@ pub struct Common {
     /// Print the result as JSON on standard output
     #[arg(long)]
     pub json: bool,
+}
+
+/// Flags of commands that draw random numbers.
+#[derive(Args, Debug, Clone)]
+pub struct Common {
+    #[command(flatten)]
+    pub run: Run,
+    /// Seed of every random number; the same seed gives the same bits
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u32,
 }
 
 /// How a scene is read and what light is added to it.
@@ -230,23 +237,6 @@ pub struct Factors {
     pub run: Run,
 }
 
-/// Flags about the run, for commands without random numbers.
-#[derive(Args, Debug, Clone)]
-pub struct Run {
-    /// Threads to use; 0 takes all cores. Results do not depend on it
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    pub threads: usize,
-    /// Most memory to use, as 4GB
-    #[arg(long, value_name = "BYTES", default_value = "4GB", value_parser = units::bytes)]
-    pub memory: u64,
-    /// Print nothing but errors and what was asked for
-    #[arg(long, short)]
-    pub quiet: bool,
-    /// Print the report as JSON on standard output
-    #[arg(long)]
-    pub json: bool,
-}
-
 impl Factors {
     /// The job for the library; `points` are those of `--points`, read.
     pub fn job(&self, points: Option<Vec<FactorPoint>>) -> FactorsJob {
@@ -313,7 +303,7 @@ impl SceneArguments {
 impl Common {
     fn apply(&self, settings: &mut Settings) {
         settings.seed = self.seed;
-        settings.memory = self.memory;
+        settings.memory = self.run.memory;
     }
 }
 

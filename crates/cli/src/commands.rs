@@ -94,9 +94,9 @@ fn print(text: &str) -> Result<(), String> {
 }
 
 fn light(arguments: &Light) -> Result<Outcome, String> {
-    threads(arguments.common.threads)?;
+    threads(arguments.common.run.threads)?;
     let stop = stop_on_interrupt();
-    let mut progress = terminal::Progress::new(arguments.common.quiet);
+    let mut progress = terminal::Progress::new(arguments.common.run.quiet);
     let job = LightJob {
         scene: arguments.scene.scene.clone(),
         output: arguments.output.clone(),
@@ -110,21 +110,21 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
         Ok(outcome) => outcome,
         Err(error) => return ended(error),
     };
-    if arguments.common.json {
+    if arguments.common.run.json {
         print(&(outcome.report_json + "\n"))?;
-    } else if !arguments.common.quiet {
+    } else if !arguments.common.run.quiet {
         print(&outcome.table)?;
     }
     Ok(Outcome::of(outcome.reached))
 }
 
 fn probe(arguments: &Probe) -> Result<Outcome, String> {
-    threads(arguments.common.threads)?;
-    let (place, text) = text_of(&arguments.points, arguments.common.memory)?;
+    threads(arguments.common.run.threads)?;
+    let (place, text) = text_of(&arguments.points, arguments.common.run.memory)?;
     let receivers = points::parse(place, &text)?;
     let stop = stop_on_interrupt();
     let settings = settings(&arguments.scene, Some(&arguments.solve), &arguments.common);
-    let mut progress = terminal::Progress::new(arguments.common.quiet);
+    let mut progress = terminal::Progress::new(arguments.common.run.quiet);
     let mut watch = |status: &Status| watch(&mut progress, &stop, status);
     let mut session = match Session::open_watched(&arguments.scene.scene, &settings, &mut watch) {
         Ok(session) => session,
@@ -135,7 +135,7 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
     };
     let answer = luxel::probe(&mut session, &receivers, &mut watch);
     progress.end();
-    if !arguments.common.quiet {
+    if !arguments.common.run.quiet {
         for warning in session.warnings().iter() {
             terminal::say(&format!("warning: {warning}"));
         }
@@ -147,7 +147,7 @@ fn probe(arguments: &Probe) -> Result<Outcome, String> {
             ));
         }
     }
-    if arguments.common.json {
+    if arguments.common.run.json {
         print(
             &(points::json(&receivers, &answer.irradiance, session.layers()).to_string() + "\n"),
         )?;
@@ -245,10 +245,10 @@ fn read_bounded(source: impl Read, memory: u64) -> Result<String, String> {
 }
 
 fn inspect(arguments: &Inspect) -> Result<Outcome, String> {
-    threads(arguments.common.threads)?;
+    threads(arguments.common.run.threads)?;
     let settings = settings(&arguments.scene, None, &arguments.common);
     let found = luxel::inspect(&arguments.scene.scene, &settings).map_err(|e| e.to_string())?;
-    if arguments.common.json {
+    if arguments.common.run.json {
         let json = serde_json::to_string_pretty(&found).map_err(|e| e.to_string())?;
         print(&(json + "\n"))?;
     } else {
@@ -258,7 +258,7 @@ fn inspect(arguments: &Inspect) -> Result<Outcome, String> {
 }
 
 fn verify(arguments: &Verify) -> Result<Outcome, String> {
-    threads(arguments.common.threads)?;
+    threads(arguments.common.run.threads)?;
     let mut failed = None;
     let passed = luxel::verify::run(arguments.cases.as_deref(), &mut |line| {
         if let Err(e) = print(&format!("{line}\n")) {

@@ -1,7 +1,10 @@
 //! `luxel factors` as a user runs it: matrices, zones, points, stop and resume.
 
+mod common;
+
+use common::{luxel, words};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 /// A room of 3 x 4 x 2.5 m with a box of 1 m on the floor, as two objects and two materials;
 /// fronts towards the air. The floor is a ring of four around the box.
@@ -41,17 +44,6 @@ f 10 11 15 14
 f 11 12 16 15
 f 12 9 13 16
 ";
-
-fn luxel(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_luxel"))
-        .args(arguments)
-        .output()
-        .expect("luxel runs")
-}
-
-fn words(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
 
 /// Writes the room, runs `luxel factors` on it and reads the triplets that it wrote.
 fn factors(folder: &Path, more: &[&str]) -> (Vec<(usize, usize, f64)>, serde_json::Value) {

@@ -1,21 +1,13 @@
 //! The program as a user runs it: files, exit codes, messages.
 
+mod common;
+
+use common::{luxel, words};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 fn scenes() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes")
-}
-
-fn luxel(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_luxel"))
-        .args(arguments)
-        .output()
-        .expect("luxel runs")
-}
-
-fn words(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
 }
 
 /// Lights the Cornell box coarsely into a folder of its own.

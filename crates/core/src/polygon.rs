@@ -2,6 +2,15 @@
 
 use glam::DVec3;
 
+/// Normal times area of a polygon with these corners (Newell), m².
+pub fn area_vector(v: &[DVec3]) -> DVec3 {
+    let mut sum = DVec3::ZERO;
+    for i in 1..v.len().saturating_sub(1) {
+        sum += (v[i] - v[0]).cross(v[i + 1] - v[0]);
+    }
+    sum * 0.5
+}
+
 /// A convex planar polygon, counter-clockwise seen from its front.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
@@ -17,12 +26,7 @@ impl Polygon {
 
     /// Area vector: normal times area (Newell), m².
     pub fn area_vector(&self) -> DVec3 {
-        let v = &self.vertices;
-        let mut sum = DVec3::ZERO;
-        for i in 1..v.len().saturating_sub(1) {
-            sum += (v[i] - v[0]).cross(v[i + 1] - v[0]);
-        }
-        sum * 0.5
+        area_vector(&self.vertices)
     }
 
     /// Area, m².

@@ -14,6 +14,7 @@ pub mod probe;
 pub mod session;
 pub mod settings;
 mod sites;
+mod spare;
 pub mod stage;
 pub mod units;
 pub mod verify;

@@ -8,6 +8,7 @@ use crate::error::Error;
 use crate::session::Session;
 use crate::settings::Settings;
 use crate::sites::Sites;
+use crate::spare::replaced;
 use crate::stage::{Stage, peak_memory_bytes};
 use crate::watch::{Status, Watch, enter};
 use crate::work::{self, End, Gathering, Rest};
@@ -223,18 +224,16 @@ fn sites(mesh: &LitMesh, most_rays: f64) -> Sites {
 
 /// No file that is written may be one that was read: the scene, its buffers and pictures.
 fn spare_the_scene(read: &[PathBuf], folder: &Path) -> Result<(), Error> {
-    let read: Vec<PathBuf> = read.iter().filter_map(|p| p.canonicalize().ok()).collect();
-    for name in [LIT_SCENE, PREVIEW, REPORT, SOLUTION] {
-        let place = folder.join(name).canonicalize();
-        if place.is_ok_and(|p| read.contains(&p)) {
-            return Err(Error::Setting(format!(
-                "{}: expected an output folder that does not hold the scene, found that {name} \
-                 would replace it",
-                folder.display()
-            )));
-        }
+    let written = [LIT_SCENE, PREVIEW, REPORT, SOLUTION].map(|name| folder.join(name));
+    match replaced(read, &written) {
+        None => Ok(()),
+        Some(path) => Err(Error::Setting(format!(
+            "{}: expected an output folder that does not hold the scene, found that {} would \
+             replace it",
+            folder.display(),
+            path.file_name().unwrap_or_default().display()
+        ))),
     }
-    Ok(())
 }
 
 fn make_folder(folder: &Path) -> Result<(), Error> {

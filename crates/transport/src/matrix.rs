@@ -17,7 +17,7 @@ use crate::contract::{Arrival, FactorRow, FormFactors, LocalLines, Ray, RayCaste
 use crate::facets::{FacetFactors, FacetSettings};
 use crate::lines::FrontLines;
 use crate::obstructed::{point_in, quarters};
-use crate::polygon_pair::{exchange_area, facing_parts};
+use crate::polygon_pair::{ball, exchange_area, facing_parts};
 use crate::sampling::{Sequence, hash};
 use luxel_core::{DVec3, ElementId, Facet, FacetPart, Facets, Front, Polygon, Scene, Vec3};
 use rayon::prelude::*;
@@ -325,15 +325,6 @@ const WEIGHTY: f64 = 3e-3;
 /// Times a near pair is cut.
 const MAX_CUTS: u32 = 6;
 
-fn radius(polygon: &Polygon) -> f64 {
-    let centre = polygon.centre();
-    polygon
-        .vertices
-        .iter()
-        .map(|v| v.distance(centre))
-        .fold(0.0, f64::max)
-}
-
 /// What the rows share.
 struct Assembly<'a> {
     scene: &'a Scene,
@@ -547,7 +538,7 @@ impl<'a> Assembly<'a> {
         let free = exchange_area(&a, &b, self.settings.accuracy);
         let (weight, visible) = self.visible_between(&a, &b, stream);
         let undecided = visible > 0.0 && visible < weight;
-        let (ra, rb) = (radius(p), radius(q));
+        let (ra, rb) = (ball(p).1, ball(q).1);
         let apart = (p.centre() - q.centre()).length() > NEAR * (ra + rb);
         if cuts == 0 || free < least || (!partly && (!undecided || apart)) {
             return if weight > 0.0 {

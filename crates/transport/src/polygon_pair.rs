@@ -86,7 +86,7 @@ fn in_front_of(polygon: &Polygon, other: &Polygon) -> Option<Polygon> {
 }
 
 /// Centre and the radius of a ball around it that holds the polygon.
-fn ball(p: &Polygon) -> (DVec3, f64) {
+pub(crate) fn ball(p: &Polygon) -> (DVec3, f64) {
     let centre = p.centre();
     (
         centre,

@@ -3,7 +3,7 @@
 //! There is no remark at the head, so that readers of tables need no option for it. The size of
 //! the matrix is not in the file: rows at the end without entries leave no trace.
 
-use super::{Precision, each_row, push_number};
+use super::{Precision, write_lines};
 use luxel_core::SparseRows;
 use std::io::{self, Write};
 
@@ -14,15 +14,8 @@ pub(super) fn write(
     precision: Precision,
 ) -> io::Result<()> {
     out.write_all(b"row,column,factor\n")?;
-    let mut text = Vec::new();
-    each_row(rows, precision, |row, entries| {
-        text.clear();
-        for &(column, value) in entries {
-            write!(text, "{row},{column},")?;
-            push_number(&mut text, value, precision);
-            text.push(b'\n');
-        }
-        out.write_all(&text)
+    write_lines(out, rows, precision, |text, row, column| {
+        write!(text, "{row},{column},")
     })
 }
 

@@ -17,7 +17,7 @@ mod npz;
 use crate::atomic;
 use crate::error::WriteError;
 use luxel_core::SparseRows;
-use std::io;
+use std::io::{self, Write};
 use std::path::Path;
 
 /// A format that a matrix of factors can be written in.
@@ -128,6 +128,25 @@ fn each_row(
             rows.entries()
         )),
     }
+}
+
+/// Writes a line for each entry: what `place` puts for row and column, then the value.
+fn write_lines(
+    out: &mut impl Write,
+    rows: &dyn SparseRows,
+    precision: Precision,
+    place: impl Fn(&mut Vec<u8>, usize, u32) -> io::Result<()>,
+) -> io::Result<()> {
+    let mut text = Vec::new();
+    each_row(rows, precision, |row, entries| {
+        text.clear();
+        for &(column, value) in entries {
+            place(&mut text, row, column)?;
+            push_number(&mut text, value, precision);
+            text.push(b'\n');
+        }
+        out.write_all(&text)
+    })
 }
 
 /// Appends a number in the fewest digits that are read back as the same number.

@@ -4,7 +4,7 @@
 //!
 //! Source: [Boisvert96].
 
-use super::{Precision, each_row, push_number};
+use super::{Precision, write_lines};
 use luxel_core::SparseRows;
 use std::io::{self, Write};
 
@@ -19,15 +19,8 @@ pub(super) fn write(
     out.write_all(b"% View factors: the share of what leaves facet i that arrives at facet j,\n")?;
     out.write_all(b"% i = row, j = column, facets counted from 1 in the order of their file.\n")?;
     writeln!(out, "{height} {width} {}", rows.entries())?;
-    let mut text = Vec::new();
-    each_row(rows, precision, |row, entries| {
-        text.clear();
-        for &(column, value) in entries {
-            write!(text, "{} {} ", row + 1, column as u64 + 1)?;
-            push_number(&mut text, value, precision);
-            text.push(b'\n');
-        }
-        out.write_all(&text)
+    write_lines(out, rows, precision, |text, row, column| {
+        write!(text, "{} {} ", row + 1, column as u64 + 1)
     })
 }
 

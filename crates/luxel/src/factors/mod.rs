@@ -7,6 +7,7 @@ pub mod report;
 pub mod zones;
 
 use crate::error::Error;
+use crate::spare::replaced;
 use crate::stage::{Clock, Stage, peak_memory_bytes};
 use crate::watch::{Control, Status, Watch, enter};
 use luxel_core::{DVec3, Facets, SparseRows, Warnings};
@@ -108,8 +109,17 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         .clone()
         .unwrap_or_else(|| job.scene.with_extension("factors.npz"));
     FactorFormat::of(&output).map_err(|e| Error::Setting(e.to_string()))?;
-    for file in std::iter::once(&job.scene).chain(&job.spared) {
-        spare(file, &output)?;
+    let read: Vec<PathBuf> = [&job.scene]
+        .into_iter()
+        .chain(&job.spared)
+        .cloned()
+        .collect();
+    let written = [output.clone(), report_path(&output)];
+    if let Some(path) = replaced(&read, &written) {
+        return Err(Error::Setting(format!(
+            "{}: expected an output that does not replace what is read",
+            path.display()
+        )));
     }
     if job.points.as_ref().is_some_and(Vec::is_empty) {
         return Err(Error::Setting(
@@ -146,7 +156,7 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
             job, &document, &work, points, zones, report, clock, &output, watch,
         );
     }
-    let part = beside(&output, "part");
+    let part = part_path(&output);
     if !job.resume && part.exists() {
         document.warnings.add(
             part.display().to_string(),
@@ -176,15 +186,14 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         document.warnings.add(document.facets.name.clone(), what, 1);
     } else if asked.enclosed {
         let repair = repair(&matrix);
-        report.repaired(&repair, &matrix);
+        report.repaired(&repair);
         let open = repair.before.mean > MOST_GAP || repair.largest_change > MOST_CHANGE;
-        let place = document.facets.name.clone();
         if repair.negative.is_some() || open {
             let (gap, row) = (repair.before.worst, repair.before.worst_at.unwrap_or(0));
             let what = format!(
                 "closure is not repaired: the scene is not closed, row {row} misses 1 by {gap:.3}"
             );
-            document.warnings.add(place, what, 1);
+            document.warnings.add(document.facets.name.clone(), what, 1);
         } else {
             apply(&mut matrix, &repair);
             report.applied(&matrix);
@@ -579,7 +588,7 @@ fn finish(
     report.seconds(clock);
     report.memory_peak_bytes = peak_memory_bytes();
     report.warnings = warnings.iter().map(|w| w.to_string()).collect();
-    let path = output.with_extension("json");
+    let path = report_path(output);
     let text = serde_json::to_string_pretty(report).map_err(|e| Error::Write {
         path: path.clone(),
         source: std::io::Error::other(e),
@@ -591,28 +600,16 @@ fn finish(
     Ok(path)
 }
 
-/// `room.npz` and `part` give `room.npz.part`.
-fn beside(output: &Path, ending: &str) -> PathBuf {
+/// Where finished work is kept: `room.npz.part`.
+fn part_path(output: &Path) -> PathBuf {
     let mut name = output.as_os_str().to_owned();
-    name.push(".");
-    name.push(ending);
+    name.push(".part");
     PathBuf::from(name)
 }
 
-/// The report lies beside the output as `.json`; neither may replace what is read.
-fn spare(input: &Path, output: &Path) -> Result<(), Error> {
-    let Ok(input) = input.canonicalize() else {
-        return Ok(());
-    };
-    for path in [output.to_owned(), output.with_extension("json")] {
-        if path.canonicalize().is_ok_and(|p| p == input) {
-            return Err(Error::Setting(format!(
-                "{}: expected an output that does not replace what is read",
-                path.display()
-            )));
-        }
-    }
-    Ok(())
+/// Where the report goes: `room.json`.
+fn report_path(output: &Path) -> PathBuf {
+    output.with_extension("json")
 }
 
 fn write_error(error: WriteError) -> Error {

@@ -211,7 +211,7 @@ impl FactorsReport {
         self.closure_mean /= f64::from(counted.max(1));
     }
 
-    pub(super) fn repaired(&mut self, repair: &Repair, _: &ExchangeMatrix) {
+    pub(super) fn repaired(&mut self, repair: &Repair) {
         self.repair = Some(RepairReport {
             outcome: match &repair.outcome {
                 RepairOutcome::Closed => "closed",

@@ -10,6 +10,7 @@
 //! as it is.
 
 use luxel_core::DVec3;
+use luxel_core::polygon::area_vector;
 use std::collections::HashMap;
 
 /// Most corners of a merged polygon.
@@ -26,15 +27,19 @@ pub(crate) struct Plane {
 
 impl Plane {
     pub(crate) fn of(corners: &[DVec3]) -> Plane {
-        let mut sum = DVec3::ZERO;
-        for k in 1..corners.len().saturating_sub(1) {
-            sum += (corners[k] - corners[0]).cross(corners[k + 1] - corners[0]);
-        }
-        let normal = sum.normalize_or_zero();
+        let normal = area_vector(corners).normalize_or_zero();
         let middle = corners.iter().copied().sum::<DVec3>() / corners.len().max(1) as f64;
         Plane {
             normal,
             offset: normal.dot(middle),
+        }
+    }
+
+    /// The same plane seen from the other side.
+    pub(crate) fn flipped(&self) -> Plane {
+        Plane {
+            normal: -self.normal,
+            offset: -self.offset,
         }
     }
 
@@ -68,6 +73,21 @@ pub(crate) struct Edge {
 
 impl Edge {
     pub(crate) const NONE: u32 = u32::MAX;
+
+    /// Its ends clockwise around the line of sight from where faces look as `looks` says (above 0:
+    /// at it); none if it is no edge of the outline.
+    #[inline]
+    pub(crate) fn in_outline(&self, looks: &[i8]) -> Option<(DVec3, DVec3)> {
+        let one = looks[self.face as usize];
+        if self.other != Edge::NONE && one == looks[self.other as usize] {
+            return None;
+        }
+        Some(if one > 0 {
+            (self.a, self.b)
+        } else {
+            (self.b, self.a)
+        })
+    }
 }
 
 /// A convex thing that blocks from all sides.

@@ -160,7 +160,7 @@ mod tests {
         for asked in [3e-5, 1e-5, 1e-7] {
             let (mut worst, mut count) = (0.0_f64, 0);
             for (k, one) in shapes.iter().enumerate() {
-                for (l, two) in shapes.iter().enumerate() {
+                for two in &shapes {
                     for step in 0..60 {
                         let distance = 1.5 * 1.1_f64.powi(step);
                         let turn = 0.37 * step as f64 + k as f64;
@@ -191,7 +191,6 @@ mod tests {
                         let scale = want.max(0.05 * p.area * q.area / (PI * distance * distance));
                         worst = worst.max((got - want).abs() / scale);
                         count += 1;
-                        let _ = l;
                     }
                 }
             }

@@ -8,6 +8,7 @@
 use super::blockers::{Plane, bounds};
 use super::shaft::longest_axis;
 use super::unbent;
+use crate::polygon_pair::ball;
 use crate::quadrature::gauss;
 use luxel_core::{DVec3, Facets, Polygon};
 use std::collections::HashMap;
@@ -30,12 +31,7 @@ pub(crate) struct Part {
 
 impl Part {
     pub(crate) fn new(polygon: Polygon, row: u32) -> Part {
-        let centre = polygon.centre();
-        let radius = polygon
-            .vertices
-            .iter()
-            .map(|v| v.distance(centre))
-            .fold(0.0, f64::max);
+        let (centre, radius) = ball(&polygon);
         let (low, high) = bounds(&polygon.vertices);
         Part {
             low,

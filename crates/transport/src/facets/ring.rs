@@ -1,6 +1,7 @@
 //! Convex polygons of few corners in the plane of a part, without heap: what is cut a million
 //! times.
 
+use super::blockers::Plane;
 use luxel_core::DVec3;
 use luxel_core::glam::DVec2;
 
@@ -55,6 +56,12 @@ impl Chart {
             offset: normal.dot(self.origin - at),
             slope: DVec2::new(normal.dot(self.u), normal.dot(self.v)),
         }
+    }
+
+    /// Where a plane meets this one.
+    #[inline]
+    pub(crate) fn trace(&self, plane: &Plane) -> Line {
+        self.line(plane.normal, plane.normal * plane.offset)
     }
 }
 

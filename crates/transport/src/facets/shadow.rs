@@ -12,17 +12,17 @@
 //! linear in both points. Its signs at the corners therefore tell which edges of a blocker matter
 //! to a pair at all, whether it hides nothing, and whether it hides everything.
 //!
-//! Near a common edge, where the kernel is steep, there is seldom a shadow: what is hidden is
-//! integrated there, and taken from the exact free value. Elsewhere the hidden share is.
+//! The rule only tells which share is hidden. It is taken of the exact free value: of the whole
+//! where the rule meets it, else, near a common edge, where the kernel is steep, of each piece.
 //!
 //! Sources: exact shadows by polygon clipping [Nishita85]; critical lines of area light
 //! [Lischinski92] (vertex-edge events; those of three edges are left to the error estimate).
 
-use super::blockers::{Blocker, Edge, Plane};
+use super::blockers::{Blocker, Plane};
 use super::ring::{Chart, Line, Ring};
 use super::shaft::kept_apart;
 use crate::lambert::above_horizon;
-use crate::polygon_pair::exchange_area;
+use crate::polygon_pair::{ball, exchange_area};
 use luxel_core::glam::DVec2;
 use luxel_core::{DVec3, Polygon};
 use std::cmp::Ordering;
@@ -37,6 +37,7 @@ const MOST_PIECES: usize = 400;
 /// Shadows that a pair may cut, about, one a point and blocker: bounds the time for pairs with a
 /// heap of things between them. What error is left is stated.
 const MOST_SHADOWS: usize = 40_000;
+
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
 struct Outlines {
@@ -66,7 +67,7 @@ pub(crate) struct Scratch {
     rest: Vec<Ring>,
     cuts: Vec<Line>,
     outlines: Outlines,
-    looks: Vec<f64>,
+    looks: Vec<i8>,
     /// Pairs that came to `between`, pieces, points: what work was done.
     pub(crate) counts: [u64; 3],
 }
@@ -101,11 +102,7 @@ pub(crate) fn between(
         value: asked.free,
         error: 0.0,
     };
-    let radius = |p: &Polygon| {
-        let c = p.centre();
-        p.vertices.iter().map(|v| v.distance(c)).fold(0.0, f64::max)
-    };
-    let (rf, rt) = (radius(from), radius(to));
+    let ((from_middle, rf), (to_middle, rt)) = (ball(from), ball(to));
     let (sender, receiver, reach) = if rf <= rt {
         (from, to, rt)
     } else {
@@ -133,22 +130,11 @@ pub(crate) fn between(
     let pair = Pair {
         from: Chart::of(s, sender.normal()),
         to: Chart::of(r, receiver.normal()),
-        far: sender.centre().distance(receiver.centre()) - rf.min(rt) > asked.far * reach,
+        far: from_middle.distance(to_middle) - rf.min(rt) > asked.far * reach,
     };
     let start = pair.from.ring(s);
-    let whole = pair.to.ring(r);
     let outlines = std::mem::take(&mut scratch.outlines);
-    let (area, centroid) = whole.moments();
-    let view = View {
-        pair: &pair,
-        to: receiver,
-        receiver: &whole,
-        receiver_area: area,
-        receiver_middle: pair.to.space(centroid),
-        casts: &casts,
-        outlines: &outlines,
-        near_m: asked.near_m,
-    };
+    let view = View::of(pair, receiver, &casts, &outlines, asked.near_m);
     critical_lines(&view, s, &start, r, asked.near_m, &mut scratch.cuts);
     let found = by_pieces(&view, start, asked, scratch);
     scratch.outlines = outlines;
@@ -190,19 +176,8 @@ pub(crate) fn seen_from(
         to: Chart::of(r, to.normal()),
         far: false,
     };
-    let whole = pair.to.ring(r);
     let outlines = std::mem::take(&mut scratch.outlines);
-    let (area, centroid) = whole.moments();
-    let view = View {
-        pair: &pair,
-        to,
-        receiver: &whole,
-        receiver_area: area,
-        receiver_middle: pair.to.space(centroid),
-        casts: &casts,
-        outlines: &outlines,
-        near_m,
-    };
+    let view = View::of(pair, to, &casts, &outlines, near_m);
     let (hidden, all) = hidden_from(&view, DVec2::ZERO, scratch);
     scratch.outlines = outlines;
     all - hidden
@@ -260,23 +235,16 @@ impl<'a> Cast<'a> {
             looks.push(look);
             if look == 1 || (single && look == -1) {
                 any = true;
-                let sense = f64::from(look);
-                let (low, high) = face.heights(r);
-                let (low, high) = if sense > 0.0 {
-                    (low, high)
-                } else {
-                    (-high, -low)
-                };
-                if low >= -near_m {
+                // The hidden side in front.
+                let dark = if look > 0 { face.flipped() } else { *face };
+                let (low, high) = dark.heights(r);
+                if high <= near_m {
                     outlines.edges.truncate(start.0);
                     outlines.faces.truncate(start.1);
                     return Standing::Aside;
                 }
-                if high > near_m {
-                    outlines.faces.push(Plane {
-                        normal: -sense * face.normal,
-                        offset: -sense * face.offset,
-                    });
+                if low < -near_m {
+                    outlines.faces.push(dark);
                 }
             }
         }
@@ -295,19 +263,8 @@ impl<'a> Cast<'a> {
             return Standing::Aside;
         }
         for edge in &blocker.edges {
-            let front = if single {
-                looks[0] > 0
-            } else {
-                let (one, other) = (looks[edge.face as usize], looks[edge.other as usize]);
-                if one == other {
-                    continue;
-                }
-                one > 0
-            };
-            let (a, b) = if front {
-                (edge.a, edge.b)
-            } else {
-                (edge.b, edge.a)
+            let Some((a, b)) = edge.in_outline(looks) else {
+                continue;
             };
             let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
             for &x in s {
@@ -343,9 +300,9 @@ impl<'a> Cast<'a> {
 
     /// What it hides of `receiver` from `point`.
     #[inline]
-    fn shadow(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<f64>, dark: &mut Ring) {
+    fn shadow(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<i8>, dark: &mut Ring) {
         let chart = &view.pair.to;
-        dark.set(view.receiver);
+        dark.set(&view.receiver);
         if let Some(blocker) = &self.turning {
             return turning_shadow(blocker, point, chart, dark, looks, view.near_m);
         }
@@ -357,7 +314,7 @@ impl<'a> Cast<'a> {
             }
         }
         for face in &view.outlines.faces[self.faces.clone()] {
-            dark.cut(chart.line(face.normal, face.normal * face.offset));
+            dark.cut(chart.trace(face));
         }
     }
 }
@@ -368,7 +325,7 @@ fn turning_shadow(
     point: DVec3,
     chart: &Chart,
     dark: &mut Ring,
-    looks: &mut Vec<f64>,
+    looks: &mut Vec<i8>,
     near_m: f64,
 ) {
     let single = !blocker.is_solid();
@@ -377,36 +334,21 @@ fn turning_shadow(
         let height = face.height(point);
         // In the plane of a face counts as looking at it: a point below something that stands on
         // its plane is then wholly dark.
-        let look = if height >= -near_m {
-            1.0
-        } else if single {
-            -1.0
-        } else {
-            0.0
-        };
+        let look = if height >= -near_m { 1 } else { -1 };
         looks.push(look);
-        if look != 0.0 {
-            dark.cut(chart.line(-look * face.normal, face.normal * face.offset));
+        if look > 0 {
+            dark.cut(chart.trace(&face.flipped()));
+        } else if single {
+            dark.cut(chart.trace(face));
         }
     }
-    if looks.iter().all(|&l| l == 0.0) {
+    if !single && looks.iter().all(|&l| l < 0) {
         *dark = Ring::EMPTY;
         return;
     }
     for edge in &blocker.edges {
-        let front = if edge.other == Edge::NONE {
-            looks[0] > 0.0
-        } else {
-            let (one, other) = (looks[edge.face as usize], looks[edge.other as usize]);
-            if one == other {
-                continue;
-            }
-            one > 0.0
-        };
-        let (a, b) = if front {
-            (edge.a, edge.b)
-        } else {
-            (edge.b, edge.a)
+        let Some((a, b)) = edge.in_outline(looks) else {
+            continue;
         };
         dark.cut(chart.line((b - point).cross(a - point), point));
         if dark.is_empty() {
@@ -425,7 +367,7 @@ fn critical_lines(
     cuts: &mut Vec<Line>,
 ) {
     cuts.clear();
-    let pair = view.pair;
+    let pair = &view.pair;
     for cast in view.casts {
         let of_turning: Vec<(DVec3, DVec3)>;
         let edges = match &cast.turning {
@@ -433,8 +375,7 @@ fn critical_lines(
             Some(blocker) => {
                 // Where a face begins to show; and any edge may be one of the outline.
                 for face in &blocker.faces {
-                    let line = pair.from.line(face.normal, face.normal * face.offset);
-                    if let Some(line) = crossing(line, start, near_m) {
+                    if let Some(line) = crossing(pair.from.trace(face), start, near_m) {
                         push(cuts, line);
                     }
                 }
@@ -602,14 +543,37 @@ impl Ord for Waiting {
 
 /// What the points of a sender are asked about.
 struct View<'a> {
-    pair: &'a Pair,
+    pair: Pair,
     to: &'a Polygon,
-    receiver: &'a Ring,
+    receiver: Ring,
     receiver_area: f64,
     receiver_middle: DVec3,
     casts: &'a [Cast<'a>],
     outlines: &'a Outlines,
     near_m: f64,
+}
+
+impl<'a> View<'a> {
+    fn of(
+        pair: Pair,
+        to: &'a Polygon,
+        casts: &'a [Cast<'a>],
+        outlines: &'a Outlines,
+        near_m: f64,
+    ) -> View<'a> {
+        let receiver = pair.to.ring(&to.vertices);
+        let (receiver_area, centroid) = receiver.moments();
+        View {
+            receiver_middle: pair.to.space(centroid),
+            pair,
+            to,
+            receiver,
+            receiver_area,
+            casts,
+            outlines,
+            near_m,
+        }
+    }
 }
 
 /// Rule of few nodes on each piece of the sender; the worst pieces are halved.
@@ -618,13 +582,17 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     let mut found = std::mem::take(&mut scratch.found);
     pieces.clear();
     pieces.push(start);
-    let small_m2 = asked.small * start.area();
     let mut complete = scratch.cuts.len() < MOST_CUTS;
     let most_points = (MOST_SHADOWS / view.casts.len().max(1)).max(64);
     // Half of the points for the pieces to begin with, five each.
     let most_pieces = MOST_PIECES.min(most_points / 10);
     // So little is at stake that any answer will do.
     let negligible = asked.free <= 2.0 * asked.tolerance;
+    let small_m2 = if negligible {
+        f64::INFINITY
+    } else {
+        asked.small * start.area()
+    };
     for &line in scratch.cuts.iter().filter(|_| !negligible) {
         if pieces.len() > most_pieces {
             complete = false;
@@ -645,9 +613,9 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     let before = scratch.counts[2];
     found.clear();
     let mut sum = Found::default();
+    let unsure = !complete && !negligible;
     for piece in &pieces {
-        let small_m2 = if negligible { f64::INFINITY } else { small_m2 };
-        let here = measure(view, piece, small_m2, !complete && !negligible, scratch);
+        let here = measure(view, piece, small_m2, unsure, scratch);
         sum.hidden += here.hidden;
         sum.all += here.all;
         sum.error += here.error;
@@ -695,39 +663,35 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     scratch.counts[1] += pieces.len() as u64;
     let Found { hidden, all, error } = sum;
     // Up to rounding of the sums.
-    let settled = if hidden >= all * (1.0 - 1e-12) {
-        Some(0.0)
+    let (value, error) = if hidden >= all * (1.0 - 1e-12) {
+        (0.0, 0.0)
     } else if hidden <= all * 1e-12 {
-        Some(asked.free)
+        (asked.free, 0.0)
     } else {
-        None
-    };
-    if let Some(value) = settled {
-        scratch.cells = pieces;
-        scratch.found = found;
-        return Exchange { value, error: 0.0 };
-    }
-    // Where the rule is good for the whole, the hidden share is better still. Where the kernel is
-    // too steep for it, each piece counts with its exact free value.
-    let value = if view.pair.far || (all - asked.free).abs() <= asked.tolerance {
-        asked.free * (1.0 - hidden / all)
-    } else {
-        let exact = |(piece, f): (&Ring, &Found)| {
-            if f.all <= f.hidden {
-                return 0.0;
-            }
-            let corners = piece.corners().iter().map(|&c| view.pair.from.space(c));
-            let piece = Polygon::new(corners.collect());
-            exchange_area(&piece, view.to, 1e-6) * (1.0 - f.hidden / f.all)
+        let value = if view.pair.far || (all - asked.free).abs() <= asked.tolerance {
+            asked.free * (1.0 - hidden / all)
+        } else {
+            pieces
+                .iter()
+                .zip(&found)
+                .map(|(piece, f)| seen_exactly(view, piece, f))
+                .sum()
         };
-        pieces.iter().zip(&found).map(exact).sum()
+        (value.clamp(0.0, asked.free), error.max(0.0) * scale)
     };
     scratch.cells = pieces;
     scratch.found = found;
-    Exchange {
-        value: value.clamp(0.0, asked.free),
-        error: error.max(0.0) * scale,
+    Exchange { value, error }
+}
+
+/// Exchange of a piece of the sender: its exact free value times the share that is seen, m².
+fn seen_exactly(view: &View<'_>, piece: &Ring, found: &Found) -> f64 {
+    if found.all <= found.hidden {
+        return 0.0;
     }
+    let corners = piece.corners().iter().map(|&c| view.pair.from.space(c));
+    let piece = Polygon::new(corners.collect());
+    exchange_area(&piece, view.to, 1e-6) * (1.0 - found.hidden / found.all)
 }
 
 /// Factors of a piece times area, by its rule; the error from one node in its middle.
@@ -779,9 +743,9 @@ fn measure(
 fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f64) {
     let x = view.pair.from.space(point);
     let all = if view.pair.far {
-        kernel(view.pair, x, view.receiver_middle, view.receiver_area)
+        kernel(&view.pair, x, view.receiver_middle, view.receiver_area)
     } else {
-        factor(view.pair, x, view.receiver)
+        factor(&view.pair, x, &view.receiver)
     };
     if scratch.shadows.len() < view.casts.len() {
         scratch.shadows.resize(view.casts.len(), Ring::EMPTY);
@@ -798,14 +762,14 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
             if one.area() >= view.receiver_area * (1.0 - 1e-12) {
                 return (all, all);
             }
-            factor(view.pair, x, one)
+            factor(&view.pair, x, one)
         }
         _ => {
             // What each leaves of what those before it left; the largest first.
             let shadows = &mut scratch.shadows[..count];
             shadows.sort_by(|a, b| b.area().total_cmp(&a.area()));
             scratch.pieces.clear();
-            scratch.pieces.push(*view.receiver);
+            scratch.pieces.push(view.receiver);
             for shadow in shadows.iter() {
                 scratch.rest.clear();
                 for piece in scratch.pieces.drain(..) {
@@ -821,7 +785,7 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
                 .pieces
                 .iter()
                 .filter(|p| p.area() > least)
-                .map(|p| factor(view.pair, x, p))
+                .map(|p| factor(&view.pair, x, p))
                 .sum();
             if seen <= 0.0 {
                 return (all, all);

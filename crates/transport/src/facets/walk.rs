@@ -101,7 +101,7 @@ impl Walk {
         if !sees(ca, cb, ground.near_m) || !sees(cb, ca, ground.near_m) {
             return;
         }
-        let (start, left) = (self.candidates.len(), candidates.len());
+        let start = self.candidates.len();
         let shaft = Shaft::new((ca.low, ca.high), (cb.low, cb.high), ground.near_m);
         self.narrow(
             ground,
@@ -119,7 +119,6 @@ impl Walk {
         } else if kept.len() <= FEW && self.hidden(ground, ca, cb, kept.clone()) {
             self.counts.hidden += ca.count as u64 * cb.count as u64;
         } else {
-            let _ = left;
             match (ca.children, cb.children) {
                 (None, None) => self.leaves(ground, ca, cb, kept),
                 (Some(first), None) => self.open(ground, first, b, kept),
@@ -442,16 +441,8 @@ impl Ground {
 
 /// Whether something of `b` may be in front of something of `a`.
 fn sees(a: &Cluster, b: &Cluster, near_m: f64) -> bool {
-    let Some(plane) = a.flat else {
-        return true;
-    };
-    let n = plane.normal;
-    let farthest = DVec3::new(
-        if n.x > 0.0 { b.high.x } else { b.low.x },
-        if n.y > 0.0 { b.high.y } else { b.low.y },
-        if n.z > 0.0 { b.high.z } else { b.low.z },
-    );
-    plane.height(farthest) > near_m
+    a.flat
+        .is_none_or(|plane| box_heights(&plane, b.low, b.high).1 > near_m)
 }
 
 /// Heights of a box over a plane.
