@@ -149,6 +149,13 @@ pub(crate) struct Blockers {
     pub(crate) polygons: Vec<Blocker>,
 }
 
+impl Blockers {
+    /// The polygons of a solid.
+    pub(crate) fn faces(&self, solid: &Blocker) -> &[Blocker] {
+        &self.polygons[solid.polygons.start as usize..solid.polygons.end as usize]
+    }
+}
+
 /// Merges `polygons`, whose corners are known to `rounding_m`.
 pub(crate) fn merge(polygons: &[Vec<DVec3>], rounding_m: f64) -> Blockers {
     let mut welded = Welded::new(polygons, rounding_m);

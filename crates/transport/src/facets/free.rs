@@ -127,7 +127,9 @@ fn tensor(na: &Nodes, i: usize, a: &Part, nb: &Nodes, j: usize, b: &Part) -> f64
 
 #[cfg(test)]
 mod tests {
+    use super::super::blockers::Blockers;
     use super::super::parts::Parts;
+    use super::super::shaft::BlockerTree;
     use super::*;
     use luxel_core::{DVec3, FacetPart, Facets, Polygon};
 
@@ -144,7 +146,8 @@ mod tests {
             parts,
             ..Facets::default()
         };
-        Parts::new(&facets, 1e-12)
+        let none = Blockers::default();
+        Parts::new(&facets, &none, &BlockerTree::new(&none.list), 1e-12)
     }
 
     #[test]

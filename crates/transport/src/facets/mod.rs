@@ -148,11 +148,12 @@ impl FacetFactors {
             .flat_map(|p| &p.polygon.vertices)
             .map(|v| v.abs().max_element())
             .fold(0.0, f64::max);
-        let near_m = (1.5 * facets.rounding_m).max(4e-12 * largest);
-        let parts = Parts::new(facets, near_m);
+        // Corners of a part and those of the plane that it lies on are both rounded.
+        let near_m = (3.0 * facets.rounding_m).max(4e-12 * largest);
         let flat: Vec<Vec<DVec3>> = blockers.iter().flat_map(|b| unbent(b, near_m)).collect();
         let blockers = blockers::merge(&flat, facets.rounding_m);
         let tree = BlockerTree::new(&blockers.list);
+        let parts = Parts::new(facets, &blockers, &tree, near_m);
         let rows = facets.rows.len();
         let wanted_rows = settings.rows.start..settings.rows.end.min(rows as u32);
         let wanted = parts

@@ -5,8 +5,8 @@
 //! share one horizon, and a flat cluster sees another wholly or not at all more often than a
 //! bulky one.
 
-use super::blockers::{Plane, bounds};
-use super::shaft::longest_axis;
+use super::blockers::{Blocker, Blockers, Edge, Plane, bounds};
+use super::shaft::{BlockerTree, longest_axis};
 use super::unbent;
 use crate::polygon_pair::ball;
 use crate::quadrature::gauss;
@@ -27,6 +27,8 @@ pub(crate) struct Part {
     pub(crate) low: DVec3,
     pub(crate) high: DVec3,
     pub(crate) row: u32,
+    /// Blocker that it lies on, which lies behind it or in its plane and never in its way.
+    pub(crate) lies_on: Option<u32>,
 }
 
 impl Part {
@@ -41,7 +43,42 @@ impl Part {
             radius,
             area: polygon.area(),
             row,
+            lies_on: None,
             polygon,
+        }
+    }
+
+    /// Takes the plane of the blocker that it lies on: what a small piece with rounded corners
+    /// says of its plane is far off at the other end of a wall.
+    fn settle(&mut self, blockers: &Blockers, tree: &BlockerTree, near_m: f64) {
+        let near = DVec3::splat(near_m);
+        let carries = |polygon: &Blocker| {
+            let plane = &polygon.faces[0];
+            let (low, high) = plane.heights(&self.polygon.vertices);
+            let inside = |e: &Edge| {
+                let inward = plane.normal.cross(e.b - e.a).normalize_or_zero();
+                inward.dot(self.centre - e.a) >= -near_m
+            };
+            high.max(-low) <= near_m && polygon.edges.iter().all(inside)
+        };
+        let found = tree.find(self.low - near, self.high + near, |index| {
+            let blocker = &blockers.list[index as usize];
+            let faces = match blocker.is_solid() {
+                true => blockers.faces(blocker),
+                false => std::slice::from_ref(blocker),
+            };
+            let plane = faces.iter().find(|f| carries(f))?.faces[0];
+            // Whoever looks into a solid from its side has it before them.
+            let outwards = plane.normal.dot(self.plane.normal) > 0.0;
+            match (outwards, blocker.is_solid()) {
+                (true, _) => Some((index, plane)),
+                (false, false) => Some((index, plane.flipped())),
+                (false, true) => None,
+            }
+        });
+        if let Some((index, plane)) = found {
+            self.lies_on = Some(index);
+            self.plane = plane;
         }
     }
 }
@@ -163,7 +200,12 @@ pub(crate) struct Parts {
 const LEAF: usize = 8;
 
 impl Parts {
-    pub(crate) fn new(facets: &Facets, near_m: f64) -> Parts {
+    pub(crate) fn new(
+        facets: &Facets,
+        blockers: &Blockers,
+        tree: &BlockerTree,
+        near_m: f64,
+    ) -> Parts {
         let mut list = Vec::with_capacity(facets.parts.len());
         for part in facets.parts.iter().filter(|p| p.row != Facets::NO_ROW) {
             for v in unbent(&part.polygon.vertices, near_m) {
@@ -173,8 +215,9 @@ impl Parts {
                     let end = (k + MOST_CORNERS - 2).min(v.len() - 1);
                     let mut corners = vec![v[0]];
                     corners.extend_from_slice(&v[k..=end]);
-                    let piece = Part::new(Polygon::new(corners), part.row);
+                    let mut piece = Part::new(Polygon::new(corners), part.row);
                     if piece.area > 0.0 {
+                        piece.settle(blockers, tree, near_m);
                         list.push(piece);
                     }
                     k = end;

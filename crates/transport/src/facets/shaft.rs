@@ -266,6 +266,28 @@ impl BlockerTree {
         self.fill(first + 1, right, list);
     }
 
+    /// The first answer that a blocker gives whose box touches this one.
+    pub(crate) fn find<T>(
+        &self,
+        low: DVec3,
+        high: DVec3,
+        mut ask: impl FnMut(u32) -> Option<T>,
+    ) -> Option<T> {
+        let mut waiting: Vec<u32> = self.root().into_iter().collect();
+        while let Some(index) = waiting.pop() {
+            let node = self.node(index);
+            if node.low.cmpgt(high).any() || node.high.cmplt(low).any() {
+                continue;
+            }
+            if !node.leaf {
+                waiting.extend([node.index + 1, node.index]);
+            } else if let Some(found) = ask(node.index) {
+                return Some(found);
+            }
+        }
+        None
+    }
+
     /// The root, if there is anything.
     pub(crate) fn root(&self) -> Option<u32> {
         (!self.nodes.is_empty()).then_some(0)

@@ -366,3 +366,44 @@ fn nothing_and_one_facet() {
     );
     assert_eq!((matrix.shape(), matrix.entries()), ([1, 1], 0));
 }
+
+#[test]
+fn rounded_triangles_do_not_stand_in_their_own_way() {
+    // Turned, in triangles of centimetres, rounded to f32: each knows its plane to a millionth,
+    // and the box that it lies on reaches far beyond it. Rows of a closed scene sum to 1.
+    let room = luxel_scenes::floating_boxes(1000);
+    let turn = luxel_core::glam::DQuat::from_euler(luxel_core::glam::EulerRot::XYZ, 0.3, 0.5, 0.7);
+    let mut triangles = Vec::new();
+    let mut first_on_a_box = 0;
+    for part in &room.parts {
+        let v: Vec<DVec3> = part
+            .polygon
+            .vertices
+            .iter()
+            .map(|&v| (turn * v).as_vec3().as_dvec3())
+            .collect();
+        if room.rows[part.row as usize].object == 0 {
+            first_on_a_box = triangles.len() as u32 + 2;
+        }
+        triangles.extend([vec![v[0], v[1], v[2]], vec![v[0], v[2], v[3]]]);
+    }
+    let mut scene = facets(triangles, vec![]);
+    scene.rounding_m = 5.0 * f32::EPSILON as f64;
+    let settings = FacetSettings {
+        rows: first_on_a_box..u32::MAX,
+        ..FacetSettings::default()
+    };
+    let work = FacetFactors::new(&scene, &settings);
+    assert!(work.blockers() == 10);
+    let batches: Vec<Batch> = (0..work.batches()).map(|b| work.compute(b)).collect();
+    let sums = work.matrix(&batches).row_sums();
+    let worst = sums[first_on_a_box as usize..]
+        .iter()
+        .map(|s| (s - 1.0).abs())
+        .fold(0.0, f64::max);
+    eprintln!(
+        "{} rows, worst {worst:.1e}",
+        sums.len() - first_on_a_box as usize
+    );
+    assert!(worst < 4e-4, "{worst:e}");
+}

@@ -11,7 +11,7 @@
 use super::blockers::{Blocker, Blockers, Plane};
 use super::compressed::{Packer, by_parts};
 use super::free::{self, Facing};
-use super::parts::{Cluster, Parts};
+use super::parts::{Cluster, Part, Parts};
 use super::shadow::{Asked, Exchange, Scratch, between, seen_from};
 use super::shaft::{BlockerTree, Shaft, box_corners, hides};
 use super::{Counts, Triplet};
@@ -108,7 +108,7 @@ impl Walk {
             &shaft,
             candidates,
             ca.size().max(cb.size()),
-            |blocker| {
+            |_, blocker| {
                 // All on one side of its plane, or behind a flat cluster.
                 aside(blocker, ca, cb, ground.near_m)
             },
@@ -148,7 +148,7 @@ impl Walk {
         shaft: &Shaft,
         candidates: Range<usize>,
         size: f64,
-        aside: impl Fn(&Blocker) -> bool,
+        aside: impl Fn(u32, &Blocker) -> bool,
     ) {
         let mut stack = [0_u32; 64];
         for k in candidates {
@@ -163,7 +163,7 @@ impl Walk {
                 }
                 if node.leaf {
                     let blocker = &ground.blockers.list[node.index as usize];
-                    if shaft.meets(&blocker.corners) && !aside(blocker) {
+                    if shaft.meets(&blocker.corners) && !aside(node.index, blocker) {
                         self.candidates.push(index);
                     }
                 } else if (node.high - node.low).length() > size && waiting + 2 <= stack.len() {
@@ -228,7 +228,7 @@ impl Walk {
         }
         let start = self.candidates.len();
         let shaft = Shaft::new((x, x), (c.low, c.high), ground.near_m);
-        self.narrow(ground, &shaft, candidates, c.size(), |blocker| {
+        self.narrow(ground, &shaft, candidates, c.size(), |_, blocker| {
             blocker.faces.iter().any(|face| {
                 let (low, high) = box_heights(face, c.low, c.high);
                 let h = face.height(x);
@@ -250,8 +250,8 @@ impl Walk {
                     }
                     let before = self.candidates.len();
                     let shaft = Shaft::new((x, x), (part.low, part.high), ground.near_m);
-                    self.narrow(ground, &shaft, kept.clone(), 0.0, |blocker| {
-                        part.plane.heights(&blocker.corners).1 <= ground.near_m
+                    self.narrow(ground, &shaft, kept.clone(), 0.0, |index, blocker| {
+                        behind(part, index, blocker, ground.near_m)
                     });
                     let corners = &part.polygon.vertices;
                     let blockers = self.blockers(ground, before, &[x], corners);
@@ -306,11 +306,10 @@ impl Walk {
                     continue;
                 }
                 let shaft = Shaft::new((p.low, p.high), (q.low, q.high), ground.near_m);
-                self.narrow(ground, &shaft, candidates.clone(), 0.0, |blocker| {
-                    // Behind one of them, or in its plane.
+                self.narrow(ground, &shaft, candidates.clone(), 0.0, |index, blocker| {
                     [p, q]
                         .iter()
-                        .any(|part| part.plane.heights(&blocker.corners).1 <= ground.near_m)
+                        .any(|part| behind(part, index, blocker, ground.near_m))
                 });
                 let value = if self.candidates.len() == start {
                     self.counts.free += 1;
@@ -397,8 +396,7 @@ impl Walk {
             {
                 blockers.push(blocker);
             } else {
-                let run = blocker.polygons.start as usize..blocker.polygons.end as usize;
-                blockers.extend(&ground.blockers.polygons[run]);
+                blockers.extend(ground.blockers.faces(blocker));
             }
         }
         blockers
@@ -470,6 +468,11 @@ fn aside(blocker: &Blocker, a: &Cluster, b: &Cluster, near_m: f64) -> bool {
         .into_iter()
         .flatten()
         .any(|plane| plane.heights(&blocker.corners).1 <= near_m)
+}
+
+/// Whether a blocker lies behind a part or in its plane.
+fn behind(part: &Part, index: u32, blocker: &Blocker, near_m: f64) -> bool {
+    part.lies_on == Some(index) || part.plane.heights(&blocker.corners).1 <= near_m
 }
 
 /// Whether the lid of a blocker may be taken for a face: nobody looks at it from below.
