@@ -217,28 +217,49 @@ impl Ring {
         (above, below)
     }
 
+    /// Low and high corner of the rectangle around it.
+    #[inline]
+    pub(crate) fn bounds(&self) -> (DVec2, DVec2) {
+        let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for &c in self.corners() {
+            low = low.min(c);
+            high = high.max(c);
+        }
+        (low, high)
+    }
+
+    /// Where this lies left of its edge from corner `k` on, above zero.
+    #[inline]
+    fn side(&self, k: usize) -> Line {
+        let v = self.corners();
+        let slope = (v[(k + 1) % v.len()] - v[k]).perp();
+        Line {
+            offset: -slope.dot(v[k]),
+            slope,
+        }
+    }
+
+    /// Whether it has no area in common with another: an edge of one of them keeps them apart.
+    /// `bounds` are those of the other.
+    #[inline]
+    pub(crate) fn is_apart(&self, other: &Ring, bounds: (DVec2, DVec2)) -> bool {
+        let (low, high) = self.bounds();
+        let keeps = |one: &Ring, two: &Ring| {
+            (0..one.len).any(|k| {
+                let side = one.side(k);
+                two.corners().iter().all(|&c| side.at(c) <= 0.0)
+            })
+        };
+        low.cmpge(bounds.1).any()
+            || high.cmple(bounds.0).any()
+            || keeps(other, self)
+            || keeps(self, other)
+    }
+
     /// Pushes the parts of this ring outside of `other`.
     pub(crate) fn outside(mut self, other: &Ring, rest: &mut Vec<Ring>) {
-        let v = other.corners();
-        let side = |k: usize| {
-            // Left of a counter-clockwise edge is inside.
-            let slope = (v[(k + 1) % v.len()] - v[k]).perp();
-            Line {
-                offset: -slope.dot(v[k]),
-                slope,
-            }
-        };
-        // What has nothing in common stays whole.
-        let mut common = self;
-        for k in 0..v.len() {
-            common.cut(side(k));
-            if common.is_empty() {
-                rest.push(self);
-                return;
-            }
-        }
-        for k in 0..v.len() {
-            let (within, without) = self.split(side(k));
+        for k in 0..other.len {
+            let (within, without) = self.split(other.side(k));
             if !without.is_empty() {
                 rest.push(without);
             }

@@ -36,7 +36,7 @@ const MOST_CUTS: usize = 160;
 const MOST_PIECES: usize = 400;
 /// Shadows that a pair may cut, about, one a point and blocker: bounds the time for pairs with a
 /// heap of things between them. What error is left is stated.
-const MOST_SHADOWS: usize = 40_000;
+const MOST_SHADOWS: usize = 120_000;
 
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
@@ -64,7 +64,6 @@ pub(crate) struct Scratch {
     found: Vec<Found>,
     shadows: Vec<Ring>,
     pieces: Vec<Ring>,
-    rest: Vec<Ring>,
     cuts: Vec<Line>,
     outlines: Outlines,
     looks: Vec<i8>,
@@ -771,11 +770,14 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
             scratch.pieces.clear();
             scratch.pieces.push(view.receiver);
             for shadow in shadows.iter() {
-                scratch.rest.clear();
-                for piece in scratch.pieces.drain(..) {
-                    piece.outside(shadow, &mut scratch.rest);
+                let bounds = shadow.bounds();
+                // What a piece leaves goes to the end, out of this shadow; most stay as they are.
+                for k in (0..scratch.pieces.len()).rev() {
+                    if !scratch.pieces[k].is_apart(shadow, bounds) {
+                        let piece = scratch.pieces.swap_remove(k);
+                        piece.outside(shadow, &mut scratch.pieces);
+                    }
                 }
-                std::mem::swap(&mut scratch.pieces, &mut scratch.rest);
                 if scratch.pieces.is_empty() {
                     return (all, all);
                 }
