@@ -19,13 +19,15 @@ pub enum Stage {
     Solve,
     /// From elements to receivers.
     Gather,
+    /// What was computed, held against what it should be.
+    Measure,
     /// Files out.
     Write,
 }
 
 impl Stage {
     /// All stages, in order.
-    pub const ALL: [Stage; 8] = [
+    pub const ALL: [Stage; 9] = [
         Stage::Read,
         Stage::Prepare,
         Stage::Mesh,
@@ -33,6 +35,7 @@ impl Stage {
         Stage::Factors,
         Stage::Solve,
         Stage::Gather,
+        Stage::Measure,
         Stage::Write,
     ];
 
@@ -46,6 +49,7 @@ impl Stage {
             Stage::Factors => "form factors",
             Stage::Solve => "solve",
             Stage::Gather => "gather",
+            Stage::Measure => "measure",
             Stage::Write => "write",
         }
     }

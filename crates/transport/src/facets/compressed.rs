@@ -113,6 +113,16 @@ impl FacetFactors {
         batch
     }
 
+    /// Rows of the matrix.
+    pub fn rows(&self) -> usize {
+        self.areas.len()
+    }
+
+    /// Convex parts that send and receive: what blocks and tiles count.
+    pub fn parts(&self) -> usize {
+        self.ground.parts.list.len()
+    }
+
     /// The matrix of all batches, in their order.
     pub fn compressed(&self, batches: Vec<CompressedBatch>) -> CompressedMatrix {
         let mut matrix = CompressedMatrix {
