@@ -437,7 +437,7 @@ impl<R: Read> Summed<'_, R> {
 }
 
 fn read_entries(content: &mut Summed<'_, impl Read>) -> io::Result<Option<Vec<BatchEntry>>> {
-    if content.left % ENTRY != 0 {
+    if !content.left.is_multiple_of(ENTRY) {
         return Ok(None);
     }
     content.list(content.left / ENTRY, ENTRY, |b| BatchEntry {
