@@ -71,9 +71,12 @@ if __name__ == "__main__":
 
     G = Compressed(asked.factors)
     areas, there = G.areas, G.areas > 0
+    if not there.any():
+        raise SystemExit(f"{asked.factors}: expected rows with an area, found none")
     sent = G.apply(np.ones(len(areas)))
     sums = sent[there] / areas[there]
-    print(f"closure: |1 - sum of a row| {abs(1 - sums).mean():.1e} in the mean, {abs(1 - sums).max():.1e} at most")
+    gaps = abs(1 - sums)
+    print(f"closure: |1 - sum of a row| {gaps.mean():.1e} in the mean, {gaps.max():.1e} at most")
 
     black, held = np.zeros(len(areas)), np.zeros(len(areas), bool)  # sigma T⁴ where T is held
     names = np.full(len(areas), "adiabatic rest", dtype="<U40")

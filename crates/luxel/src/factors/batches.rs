@@ -310,17 +310,17 @@ pub(super) fn compute<T: Made>(
 fn too_much<T: Made>(facets: &Facets, asked: &Asked<'_>, found: &Found<T>, needed: f64) -> Error {
     let pairs: u64 = found.batches.iter().map(T::pairs).sum();
     let mut advice = format!("{pairs} pairs were found so far");
+    if let Some(part) = found.kept_in() {
+        advice += &format!(
+            ", kept in {} (--resume with a larger --memory goes on; otherwise delete it)",
+            part.display()
+        );
+    }
     if T::KIND.is_none() {
         advice += match asked.not_compressed() {
             None => "; --compressed takes all rows in a fraction of it, --rows 0..1000 takes some",
             Some(_) => "; take rows in parts (--rows 0..1000)",
         };
-    }
-    if let Some(part) = found.kept_in() {
-        advice += &format!(
-            "; they are kept in {}: --resume with a larger --memory goes on, otherwise delete it",
-            part.display()
-        );
     }
     Error::FactorsMemory {
         scene: facets.name.clone(),
