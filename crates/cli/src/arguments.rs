@@ -180,12 +180,14 @@ Examples:
   luxel factors room.obj                               writes room.factors.npz and room.factors.json
   luxel factors furnace.stl -o F.mtx --enclosed        closed furnace: rows made to sum to 1
   luxel factors town.obj --by object                   between objects instead of facets
+  luxel factors city.obj --compressed -o F.npz         too large for memory otherwise
   luxel factors town.obj --group roofs=3..90 --to-zones -o roofs.csv
   echo '0 0 1.2  0 0 1' | luxel factors town.obj --points - --by material -o person.csv
 
 In Python: F = scipy.sparse.load_npz('room.factors.npz'); areas = numpy.load(...)['areas']
 
-Exit code: 0 done; 1 stopped (finished rows are written, --resume goes on); 2 failed.";
+Exit code: 0 done; 1 stopped (finished rows are written, no matrix with --compressed; --resume
+goes on); 2 failed.";
 
 /// `luxel factors`
 #[derive(Args, Debug)]
@@ -221,9 +223,14 @@ pub struct Factors {
     /// Leave out factors below this in both directions; what rows lose is reported
     #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = parse_threshold)]
     pub threshold: f64,
-    /// Numbers as 64 or 32 bits
-    #[arg(long, value_name = "BITS", default_value = "64", value_parser = ["32", "64"])]
-    pub precision: String,
+    /// Numbers as 64 or 32 bits [default: 64]
+    #[arg(long, value_name = "BITS", value_parser = ["32", "64"])]
+    pub precision: Option<String>,
+    /// For scenes whose factors do not fit into --memory, from some 20,000 facets on: all rows as
+    /// low-rank blocks and single entries, for products F x. An .npz of arrays that
+    /// docs/view-factors-compressed.py reads; 100,000 facets of a room take 1.6 GB instead of 60
+    #[arg(long)]
+    pub compressed: bool,
     /// Factor from the file's lengths to metres
     #[arg(long, value_name = "K", default_value = "1", value_parser = parse_scale)]
     pub scale: f64,
@@ -260,10 +267,11 @@ impl Factors {
             spared: self.points.iter().map(PathBuf::from).collect(),
             enclosed: self.enclosed,
             resume: self.resume,
-            precision: match self.precision.as_str() {
+            compressed: self.compressed,
+            precision: self.precision.as_deref().map(|bits| match bits {
                 "32" => Precision::Single,
                 _ => Precision::Double,
-            },
+            }),
             memory: self.run.memory,
         }
     }

@@ -77,7 +77,7 @@ fn watch(progress: &mut terminal::Progress, stop: &AtomicBool, status: &Status) 
 /// How a job ends that has nothing to show: stopped by the user, or failed.
 fn ended(error: luxel::Error) -> Result<Outcome, String> {
     match error {
-        luxel::Error::Stopped => {
+        luxel::Error::Stopped | luxel::Error::StoppedKept { .. } => {
             terminal::error(&error.to_string());
             Ok(Outcome::Short)
         }
@@ -219,8 +219,12 @@ fn factors(arguments: &Factors) -> Result<Outcome, String> {
         print(&(outcome.report.table() + &files))?;
     }
     if !outcome.complete {
+        let further = match outcome.kept_in {
+            Some(_) => "; --resume goes on from there",
+            None => "",
+        };
         terminal::say(&format!(
-            "stopped: {} rows are finished; --resume goes on from there",
+            "stopped: {} rows are finished{further}",
             outcome.report.finished_rows
         ));
     }

@@ -164,6 +164,19 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
         (vec!["factors", &scene, "-o", &scene], ".npz"),
         (vec!["factors", &broken], "broken.stl:4: expected"),
         (vec!["factors", &scene, "--rows", "14..20"], "rows below 14"),
+        (
+            vec!["factors", &scene, "--rows", "3..9999"],
+            "--rows: expected rows below 14, found 3..9999",
+        ),
+        (vec!["factors", &scene, "--rows", "14.."], "found 14.."),
+        (
+            vec!["factors", &scene, "--group", "x=3..900"],
+            "--group x=3..900: expected rows below 14, found '3..900'",
+        ),
+        (
+            vec!["factors", &scene, "-o", "no-such-folder/f.npz"],
+            "no-such-folder/f.npz: could not be written",
+        ),
         (vec!["factors", &scene, "--group", "a=nobody"], "'nobody'"),
         (vec!["factors", &scene, "--to-zones"], "--by or --group"),
         (vec!["factors", "missing.ply"], "missing.ply"),
@@ -174,9 +187,39 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
     ] {
         let out = luxel(&arguments);
         assert_eq!(out.status.code(), Some(2), "{arguments:?}");
-        assert!(words(&out.stderr).contains(said), "{}", words(&out.stderr));
+        let told = words(&out.stderr);
+        assert!(told.contains(said), "{told}");
+        // Before the progress there is nothing to say.
+        assert!(!told.contains("form factors"), "{told}");
     }
     assert_eq!(std::fs::read_to_string(&scene).expect("still there"), ROOM);
+}
+
+#[test]
+fn zones_without_all_their_rows_are_marked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (_, all) = factors(folder.path(), &["--by", "object"]);
+    let (some, report) = factors(folder.path(), &["--by", "object", "--rows", "9..14"]);
+    // The box is rows 9 to 13; of the shell none was asked for.
+    assert_eq!(report["zones"][0]["complete"], false);
+    assert_eq!(report["zones"][1]["complete"], true);
+    assert!(report["zone_factors"][0].is_null());
+    assert_eq!(report["zone_factors"][1], all["zone_factors"][1]);
+    assert!(some.iter().all(|t| t.0 == 1));
+    let warnings = report["warnings"].to_string();
+    assert!(warnings.contains("zones are left empty"), "{warnings}");
+    let scene = folder.path().join("room.obj").display().to_string();
+    let out = folder.path().join("f.csv").display().to_string();
+    let shown = luxel(&[
+        "factors", &scene, "-o", &out, "--by", "object", "--rows", "9..14",
+    ]);
+    let shown = words(&shown.stdout);
+    let row = shown
+        .lines()
+        .find(|l| l.trim_start().starts_with("shell") && l.contains('-'));
+    let row = row.expect("a marked row");
+    assert!(!row.contains("0.0000000"), "{shown}");
+    assert!(shown.contains("not all rows of this zone"), "{shown}");
 }
 
 /// SIGINT is what Ctrl-C sends.

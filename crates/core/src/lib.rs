@@ -5,6 +5,7 @@
 //! (lumens), colours are linear RGB. Numbers are stored as `f32` and summed as `f64`.
 
 pub mod buckets;
+pub mod compressed;
 pub mod element;
 pub mod facets;
 pub mod front;
@@ -19,6 +20,7 @@ pub mod texture;
 pub mod warning;
 
 pub use buckets::Buckets;
+pub use compressed::{CompressedPiece, EntryTile, LowRankBlock};
 pub use element::{ElementId, FinishId, GroupId, PatchId, SurfaceId, TextureId};
 pub use facets::{Facet, FacetPart, Facets, SparseRows};
 pub use front::{Front, FrontChange, Patch, RefinementWish, Shape, Side};

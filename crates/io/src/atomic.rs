@@ -25,21 +25,22 @@ pub fn write_with(
     write_seeking(path, |out| fill(out)).map(|_| ())
 }
 
+/// Whether a file can be put there, as far as can be told without its bytes: the folder takes new
+/// files, and no folder has the name.
+pub fn try_place(path: &Path) -> io::Result<()> {
+    if path.is_dir() {
+        return Err(io::ErrorKind::IsADirectory.into());
+    }
+    let (folder, name) = placed(path)?;
+    Unfinished::create(folder, name).map(|_| ())
+}
+
 /// As [`write_with`], for formats that go back to fill in a sum; returns the bytes of the file.
 pub fn write_seeking(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<u64> {
-    let name = path.file_name().ok_or_else(|| {
-        io::Error::new(
-            io::ErrorKind::InvalidInput,
-            format!("{} is no file name", path.display()),
-        )
-    })?;
-    let folder = match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p,
-        _ => Path::new("."),
-    };
+    let (folder, name) = placed(path)?;
     let (guard, file) = Unfinished::create(folder, name)?;
     let mut out = BufWriter::with_capacity(1 << 18, file);
     fill(&mut out)?;
@@ -55,6 +56,21 @@ pub fn write_seeking(
         let _ = folder.sync_all();
     }
     Ok(bytes)
+}
+
+/// Folder and name of a file.
+fn placed(path: &Path) -> io::Result<(&Path, &std::ffi::OsStr)> {
+    let name = path.file_name().ok_or_else(|| {
+        io::Error::new(
+            io::ErrorKind::InvalidInput,
+            format!("{} is no file name", path.display()),
+        )
+    })?;
+    let folder = match path.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p,
+        _ => Path::new("."),
+    };
+    Ok((folder, name))
 }
 
 /// A temporary file, removed unless it was moved to its place.
@@ -105,6 +121,24 @@ mod tests {
         write(&path, b"new").expect("written");
         assert_eq!(fs::read(&path).expect("there"), b"new");
         assert_eq!(fs::read_dir(folder.path()).expect("readable").count(), 1);
+    }
+
+    #[test]
+    fn a_place_is_tried_and_left_as_it_was() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("out.bin");
+        write(&path, b"old").expect("written");
+        try_place(&path).expect("writable");
+        try_place(&folder.path().join("new")).expect("writable");
+        assert_eq!(fs::read(&path).expect("there"), b"old");
+        assert_eq!(fs::read_dir(folder.path()).expect("readable").count(), 1);
+        for bad in [
+            folder.path(),
+            &path.join("x"),
+            Path::new("no-such-folder/x"),
+        ] {
+            assert!(try_place(bad).is_err(), "{}", bad.display());
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! | bytes | what |
 //! |---|---|
 //! | 8 | magic `LUXELBAT` |
-//! | 4 | version, now 1 |
+//! | 4 | version, now 2 |
 //! | 8 | fingerprint of input and settings |
 //! | 4 | CRC-32 of the 20 bytes before it |
 //!
@@ -14,10 +14,17 @@
 //! | bytes | what |
 //! |---|---|
 //! | 4 | id |
-//! | 4 | number of entries, n |
-//! | 4 | CRC-32 of the 8 bytes before it |
-//! | 12 n | row u32, column u32, value f32 of each entry |
-//! | 4 | CRC-32 of the 12 n bytes before it |
+//! | 4 | kind: 1 entries, 2 pieces |
+//! | 8 | bytes of the content, n |
+//! | 48 | six numbers u64 of the caller's: the tally |
+//! | 4 | CRC-32 of the 64 bytes before it |
+//! | n | content |
+//! | 4 | CRC-32 of the n bytes before it |
+//!
+//! Content of kind 1: row u32, column u32, value f32 of each entry. Of kind 2, for each piece of a
+//! compressed matrix: four numbers u64 of blocks, numbers, tiles and entries; each block (first
+//! 2 x u32, count 2 x u32, rank u32); each number f32; each tile (row u32, column u32, bits u64);
+//! each entry f32.
 //!
 //! Work that is killed loses the batch that was being written, no more. The head of a batch has a
 //! sum of its own, so that a damaged batch can be passed over to those behind it. Batches are
@@ -26,19 +33,27 @@
 
 use crate::error::{Error, WriteError};
 use crate::solution_file::Fnv;
-use luxel_core::Facets;
+use luxel_core::{CompressedPiece, EntryTile, Facets, LowRankBlock};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 const MAGIC: &[u8; 8] = b"LUXELBAT";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEAD: u64 = 24;
-const BATCH_HEAD: u64 = 12;
+const BATCH_HEAD: u64 = 68;
 const ENTRY: u64 = 12;
+const PIECE_HEAD: u64 = 32;
+const BLOCK: u64 = 20;
+const TILE: u64 = 16;
+const NUMBER: u64 = 4;
 
-/// Entries converted at a time.
-const RUN: usize = 1 << 12;
+/// Bytes converted at a time, at most: whole entries and whole numbers.
+const RUN: usize = 12 << 12;
+
+/// Kinds of content.
+const ENTRIES: u32 = 1;
+const PIECES: u32 = 2;
 
 /// One entry of a matrix.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -51,13 +66,34 @@ pub struct BatchEntry {
     pub value: f32,
 }
 
+/// What the caller counted in a batch; any bits are kept.
+pub type Tally = [u64; 6];
+
 /// What was computed at a time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
     /// Which part of the work it is. The file does not ask that ids are unique.
     pub id: u32,
-    /// Entries, in the caller's order. At most `u32::MAX`.
-    pub entries: Vec<BatchEntry>,
+    /// What the caller counted.
+    pub tally: Tally,
+    /// What was found.
+    pub content: Content,
+}
+
+/// What a batch holds, in the caller's order.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Content {
+    /// Entries of a matrix.
+    Entries(Vec<BatchEntry>),
+    /// Pieces of a compressed matrix. That their counts agree is the caller's to check
+    /// ([`CompressedPiece::fits`]).
+    Pieces(Vec<CompressedPiece>),
+}
+
+impl Default for Content {
+    fn default() -> Self {
+        Content::Entries(Vec::new())
+    }
 }
 
 /// What a file no longer held when it was resumed. That work has to be done again.
@@ -174,13 +210,9 @@ impl BatchFile {
     /// Appends a batch and hands it to the system, so that it outlives this program. If that
     /// fails, the file is as it was, and the batch may be appended again.
     pub fn append(&mut self, batch: &Batch) -> Result<(), WriteError> {
-        let count = u32::try_from(batch.entries.len()).map_err(|_| {
-            let e = io::Error::new(io::ErrorKind::InvalidInput, "too many entries in a batch");
-            WriteError::system(&self.path, e)
-        })?;
-        match write_batch(&self.file, batch, count) {
+        match write_batch(&self.file, batch) {
             Ok(()) => {
-                self.length += BATCH_HEAD + ENTRY * count as u64 + 4;
+                self.length += BATCH_HEAD + batch.content.bytes() + 4;
                 Ok(())
             }
             Err(e) => {
@@ -299,6 +331,10 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }
 
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    u32_at(bytes, at) as u64 | (u32_at(bytes, at + 4) as u64) << 32
+}
+
 /// Reads the batches behind the head, and returns where the last whole one ends.
 fn read_batches(
     file: &File,
@@ -311,72 +347,248 @@ fn read_batches(
     while length - end >= BATCH_HEAD {
         let mut head = [0; BATCH_HEAD as usize];
         source.read_exact(&mut head)?;
-        if crc32fast::hash(&head[..8]) != u32_at(&head, 8) {
+        if crc32fast::hash(&head[..64]) != u32_at(&head, 64) {
             lost.cut_at_damage = true;
             return Ok(end);
         }
-        let (id, count) = (u32_at(&head, 0), u32_at(&head, 4));
+        let (id, kind, bytes) = (u32_at(&head, 0), u32_at(&head, 4), u64_at(&head, 8));
         // Held against the file before anything is allocated.
-        let whole = BATCH_HEAD + ENTRY * count as u64 + 4;
-        if whole > length - end {
+        if bytes.saturating_add(4) > length - end - BATCH_HEAD {
             return Ok(end);
         }
-        let mut batch = Batch {
-            id,
-            entries: Vec::with_capacity(count as usize),
+        let mut content = Summed {
+            source: &mut source,
+            left: bytes,
+            sum: crc32fast::Hasher::new(),
         };
-        let mut sum = crc32fast::Hasher::new();
-        let mut run = [0; RUN * ENTRY as usize];
-        let mut left = count as usize;
-        while left > 0 {
-            let part = &mut run[..left.min(RUN) * ENTRY as usize];
-            source.read_exact(part)?;
-            sum.update(part);
-            let entries = part.chunks_exact(ENTRY as usize).map(|b| BatchEntry {
-                row: u32_at(b, 0),
-                column: u32_at(b, 4),
-                value: f32::from_bits(u32_at(b, 8)),
-            });
-            batch.entries.extend(entries);
-            left -= left.min(RUN);
-        }
+        let read = match kind {
+            ENTRIES => read_entries(&mut content)?.map(Content::Entries),
+            PIECES => read_pieces(&mut content)?.map(Content::Pieces),
+            _ => None,
+        };
+        content.pass()?;
+        let sum = content.sum.finalize();
         let mut tail = [0; 4];
         source.read_exact(&mut tail)?;
-        match sum.finalize().to_le_bytes() == tail {
-            true => batches.push(batch),
-            false => lost.damaged.push(id),
+        match read {
+            Some(content) if sum.to_le_bytes() == tail => batches.push(Batch {
+                id,
+                tally: std::array::from_fn(|k| u64_at(&head, 16 + 8 * k)),
+                content,
+            }),
+            _ => lost.damaged.push(id),
         }
-        end += whole;
+        end += BATCH_HEAD + bytes + 4;
     }
     Ok(end)
 }
 
-fn write_batch(file: &File, batch: &Batch, count: u32) -> io::Result<()> {
-    let mut out = BufWriter::with_capacity(1 << 18, file);
-    let mut head = [0; BATCH_HEAD as usize];
-    head[..4].copy_from_slice(&batch.id.to_le_bytes());
-    head[4..8].copy_from_slice(&count.to_le_bytes());
-    let sum = crc32fast::hash(&head[..8]);
-    head[8..].copy_from_slice(&sum.to_le_bytes());
-    let written = out.write_all(&head).and_then(|()| {
-        let mut sum = crc32fast::Hasher::new();
-        let mut bytes = Vec::with_capacity(RUN.min(batch.entries.len()) * ENTRY as usize);
-        for run in batch.entries.chunks(RUN) {
-            bytes.clear();
-            for e in run {
-                bytes.extend(e.row.to_le_bytes());
-                bytes.extend(e.column.to_le_bytes());
-                bytes.extend(e.value.to_le_bytes());
-            }
-            sum.update(&bytes);
-            out.write_all(&bytes)?;
+/// The content of a batch while it is read, and its sum.
+struct Summed<'a, R> {
+    source: &'a mut R,
+    left: u64,
+    sum: crc32fast::Hasher,
+}
+
+impl<R: Read> Summed<'_, R> {
+    /// Fills `bytes`; false if there are not so many.
+    fn fill(&mut self, bytes: &mut [u8]) -> io::Result<bool> {
+        if bytes.len() as u64 > self.left {
+            return Ok(false);
         }
-        out.write_all(&sum.finalize().to_le_bytes())?;
-        out.flush()
+        self.source.read_exact(bytes)?;
+        self.sum.update(bytes);
+        self.left -= bytes.len() as u64;
+        Ok(true)
+    }
+
+    /// `count` things of `size` bytes each; none if there are not so many.
+    fn list<T>(
+        &mut self,
+        count: u64,
+        size: u64,
+        of: impl Fn(&[u8]) -> T,
+    ) -> io::Result<Option<Vec<T>>> {
+        if count.checked_mul(size).is_none_or(|all| all > self.left) {
+            return Ok(None);
+        }
+        let mut list = Vec::with_capacity(count as usize);
+        let mut run = [0; RUN];
+        let most = RUN / size as usize;
+        while list.len() < count as usize {
+            let part = &mut run[..(count as usize - list.len()).min(most) * size as usize];
+            if !self.fill(part)? {
+                return Ok(None);
+            }
+            list.extend(part.chunks_exact(size as usize).map(&of));
+        }
+        Ok(Some(list))
+    }
+
+    /// Goes to the end of the content.
+    fn pass(&mut self) -> io::Result<()> {
+        let mut run = [0; RUN];
+        while self.left > 0 {
+            let part = self.left.min(RUN as u64) as usize;
+            self.fill(&mut run[..part])?;
+        }
+        Ok(())
+    }
+}
+
+fn read_entries(content: &mut Summed<'_, impl Read>) -> io::Result<Option<Vec<BatchEntry>>> {
+    if !content.left.is_multiple_of(ENTRY) {
+        return Ok(None);
+    }
+    content.list(content.left / ENTRY, ENTRY, |b| BatchEntry {
+        row: u32_at(b, 0),
+        column: u32_at(b, 4),
+        value: f32::from_bits(u32_at(b, 8)),
+    })
+}
+
+fn read_pieces(content: &mut Summed<'_, impl Read>) -> io::Result<Option<Vec<CompressedPiece>>> {
+    let mut pieces = Vec::new();
+    while content.left > 0 {
+        let Some(piece) = read_piece(content)? else {
+            return Ok(None);
+        };
+        pieces.push(piece);
+    }
+    Ok(Some(pieces))
+}
+
+fn read_piece(content: &mut Summed<'_, impl Read>) -> io::Result<Option<CompressedPiece>> {
+    let mut head = [0; PIECE_HEAD as usize];
+    if !content.fill(&mut head)? {
+        return Ok(None);
+    }
+    let count = |k: usize| u64_at(&head, 8 * k);
+    let number = |b: &[u8]| f32::from_bits(u32_at(b, 0));
+    let block = |b: &[u8]| LowRankBlock {
+        first: [u32_at(b, 0), u32_at(b, 4)],
+        count: [u32_at(b, 8), u32_at(b, 12)],
+        rank: u32_at(b, 16),
+    };
+    let tile = |b: &[u8]| EntryTile {
+        row: u32_at(b, 0),
+        column: u32_at(b, 4),
+        bits: u64_at(b, 8),
+    };
+    let Some(blocks) = content.list(count(0), BLOCK, block)? else {
+        return Ok(None);
+    };
+    let Some(factors) = content.list(count(1), NUMBER, number)? else {
+        return Ok(None);
+    };
+    let Some(tiles) = content.list(count(2), TILE, tile)? else {
+        return Ok(None);
+    };
+    let Some(entries) = content.list(count(3), NUMBER, number)? else {
+        return Ok(None);
+    };
+    Ok(Some(CompressedPiece {
+        blocks,
+        factors,
+        tiles,
+        entries,
+    }))
+}
+
+impl Content {
+    /// Bytes in the file.
+    fn bytes(&self) -> u64 {
+        match self {
+            Content::Entries(entries) => ENTRY * entries.len() as u64,
+            Content::Pieces(pieces) => pieces
+                .iter()
+                .map(|p| {
+                    PIECE_HEAD
+                        + BLOCK * p.blocks.len() as u64
+                        + NUMBER * (p.factors.len() + p.entries.len()) as u64
+                        + TILE * p.tiles.len() as u64
+                })
+                .sum(),
+        }
+    }
+
+    fn write(&self, out: &mut Summing<'_>) -> io::Result<()> {
+        match self {
+            Content::Entries(entries) => out.list(entries, |e| {
+                [e.row, e.column, e.value.to_bits()].map(u32::to_le_bytes)
+            }),
+            Content::Pieces(pieces) => pieces.iter().try_for_each(|p| {
+                let counts = [
+                    p.blocks.len(),
+                    p.factors.len(),
+                    p.tiles.len(),
+                    p.entries.len(),
+                ];
+                out.list(&counts, |&n| [(n as u64).to_le_bytes()])?;
+                out.list(&p.blocks, |b| {
+                    [b.first[0], b.first[1], b.count[0], b.count[1], b.rank].map(u32::to_le_bytes)
+                })?;
+                out.list(&p.factors, |v| [v.to_le_bytes()])?;
+                out.list(&p.tiles, |t| {
+                    let (low, high) = (t.bits as u32, (t.bits >> 32) as u32);
+                    [t.row, t.column, low, high].map(u32::to_le_bytes)
+                })?;
+                out.list(&p.entries, |v| [v.to_le_bytes()])
+            }),
+        }
+    }
+}
+
+/// Where the content of a batch goes, and its sum.
+struct Summing<'a> {
+    out: BufWriter<&'a File>,
+    sum: crc32fast::Hasher,
+    run: Vec<u8>,
+}
+
+impl Summing<'_> {
+    fn list<T, const N: usize, const M: usize>(
+        &mut self,
+        list: &[T],
+        bytes: impl Fn(&T) -> [[u8; M]; N],
+    ) -> io::Result<()> {
+        for part in list.chunks(RUN / (N * M)) {
+            self.run.clear();
+            for thing in part {
+                self.run.extend(bytes(thing).as_flattened());
+            }
+            self.sum.update(&self.run);
+            self.out.write_all(&self.run)?;
+        }
+        Ok(())
+    }
+}
+
+fn write_batch(file: &File, batch: &Batch) -> io::Result<()> {
+    let kind = match batch.content {
+        Content::Entries(_) => ENTRIES,
+        Content::Pieces(_) => PIECES,
+    };
+    let mut head = Vec::with_capacity(BATCH_HEAD as usize);
+    head.extend(batch.id.to_le_bytes());
+    head.extend(kind.to_le_bytes());
+    head.extend(batch.content.bytes().to_le_bytes());
+    head.extend(batch.tally.iter().flat_map(|n| n.to_le_bytes()));
+    head.extend(crc32fast::hash(&head).to_le_bytes());
+    let mut out = Summing {
+        out: BufWriter::with_capacity(1 << 18, file),
+        sum: crc32fast::Hasher::new(),
+        run: Vec::new(),
+    };
+    let written = out.out.write_all(&head).and_then(|()| {
+        batch.content.write(&mut out)?;
+        let sum = out.sum.clone().finalize();
+        out.out.write_all(&sum.to_le_bytes())?;
+        out.out.flush()
     });
     // What could not be written must not be tried again when the buffer goes away: the caller
     // cuts the file back.
-    let _ = out.into_parts();
+    let _ = out.out.into_parts();
     written
 }
 
@@ -393,7 +605,36 @@ mod tests {
         };
         Batch {
             id,
-            entries: (0..entries).map(entry).collect(),
+            tally: [id as u64, u64::MAX, 0, 1, 2, 0.1_f64.to_bits()],
+            content: Content::Entries((0..entries).map(entry).collect()),
+        }
+    }
+
+    /// Two pieces, one of them empty; more numbers than a run in the other.
+    fn pieces(id: u32) -> Batch {
+        let piece = CompressedPiece {
+            blocks: vec![
+                LowRankBlock {
+                    first: [3, u32::MAX],
+                    count: [id, 2],
+                    rank: 1,
+                };
+                3
+            ],
+            factors: (0..RUN / 4 + 3).map(|k| k as f32).collect(),
+            tiles: vec![
+                EntryTile {
+                    row: 1,
+                    column: 2,
+                    bits: 0x8000_0000_0000_0001,
+                };
+                2
+            ],
+            entries: vec![0.5; 4],
+        };
+        Batch {
+            content: Content::Pieces(vec![piece, CompressedPiece::default()]),
+            ..batch(id, 0)
         }
     }
 
@@ -418,8 +659,16 @@ mod tests {
         let (mut file, read, lost) = BatchFile::resume(&path, 42).expect("resumed");
         assert_eq!((read, &lost), (batches.clone(), &Lost::default()));
         // Longer than a run, so that parts are joined.
-        batches.push(batch(3, 3 * RUN as u32 + 17));
+        batches.push(batch(3, RUN as u32 / 4 + 17));
         file.append(&batches[3]).expect("appended");
+        drop(file);
+        let (mut file, read, _) = BatchFile::resume(&path, 42).expect("resumed");
+        assert_eq!(read, batches);
+        batches.push(pieces(8));
+        batches.push(batch(9, 1));
+        file.append(&batches[4]).expect("appended");
+        file.append(&batches[5]).expect("appended");
+        assert_eq!(fs::metadata(&path).expect("there").len(), file.bytes());
         drop(file);
         let (file, read, _) = BatchFile::resume(&path, 42).expect("resumed");
         assert_eq!(read, batches);
@@ -447,6 +696,34 @@ mod tests {
             let (_, read, lost) = BatchFile::resume(&torn, 42).expect("resumed");
             assert_eq!(read.last(), batches.last(), "cut at {n}");
             assert_eq!((read.len(), lost), (kept.max(1), Lost::default()));
+        }
+    }
+
+    #[test]
+    fn pieces_whose_counts_lie_are_damaged_and_passed_over() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("work.batches");
+        let mut file = BatchFile::create(&path, 42).expect("created");
+        file.append(&pieces(1)).expect("appended");
+        file.append(&batch(2, 2)).expect("appended");
+        drop(file);
+        let whole = fs::read(&path).expect("there");
+        let content = (HEAD + BATCH_HEAD) as usize;
+        let Content::Pieces(list) = &pieces(1).content else {
+            unreachable!("made of pieces")
+        };
+        let end = content + Content::Pieces(list.clone()).bytes() as usize;
+        // Each of the four counts, with a sum that fits.
+        for k in 0..4 {
+            for count in [u64::MAX, 1 << 40, 1 << 61] {
+                let mut bytes = whole.clone();
+                bytes[content + 8 * k..content + 8 * (k + 1)].copy_from_slice(&count.to_le_bytes());
+                let sum = crc32fast::hash(&bytes[content..end]);
+                bytes[end..end + 4].copy_from_slice(&sum.to_le_bytes());
+                fs::write(&path, &bytes).expect("written");
+                let (_, read, lost) = BatchFile::resume(&path, 42).expect("resumed");
+                assert_eq!((read, lost.damaged), (vec![batch(2, 2)], vec![1]));
+            }
         }
     }
 
@@ -493,10 +770,14 @@ mod tests {
         assert_eq!(fs::read(&path).expect("there"), whole);
 
         let mut newer = whole.clone();
-        newer[8] = 2;
+        newer[8] = 1;
         fs::write(&path, &newer).expect("written");
-        let told = BatchFile::resume(&path, 42).expect_err("version 2");
-        assert!(told.to_string().contains("found version 2"), "{told}");
+        let told = BatchFile::resume(&path, 42).expect_err("version 1");
+        assert!(
+            told.to_string()
+                .contains("expected version 2, found version 1"),
+            "{told}"
+        );
 
         let foreign = folder.path().join("thesis.txt");
         for text in [
@@ -563,16 +844,19 @@ mod tests {
     proptest! {
         #[test]
         fn a_forged_tail_never_panics(
-            id in any::<u32>(), count in any::<u32>(), rest in prop::collection::vec(any::<u8>(), 0..60),
+            id in any::<u32>(), kind in 0_u32..4, count in any::<u64>(),
+            rest in prop::collection::vec(any::<u8>(), 0..90),
         ) {
-            // A head that fits its sum and promises up to 50 GB: the length of the file decides.
+            // A head that fits its sum and promises any length: that of the file decides.
             let folder = tempfile::tempdir().expect("a temporary folder");
             let path = folder.path().join("forged");
             let mut bytes = head(42).to_vec();
-            let count = if count & 1 == 0 { count % 6 } else { count };
+            let count = if count & 1 == 0 { count % 80 } else { count };
             let start = bytes.len();
             bytes.extend(id.to_le_bytes());
+            bytes.extend(kind.to_le_bytes());
             bytes.extend(count.to_le_bytes());
+            bytes.extend([7; 48]);
             let sum = crc32fast::hash(&bytes[start..]);
             bytes.extend(sum.to_le_bytes());
             bytes.extend(rest);

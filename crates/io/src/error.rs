@@ -119,7 +119,7 @@ impl WriteError {
 }
 
 /// The system's answer, in plain words where it is a matter of space.
-fn plainly(e: &io::Error) -> String {
+pub fn plainly(e: &io::Error) -> String {
     match e.kind() {
         io::ErrorKind::StorageFull => "the disk is full".into(),
         io::ErrorKind::QuotaExceeded => "the user's share of the disk is full".into(),

@@ -35,11 +35,11 @@ pub mod write_factors;
 pub mod write_gltf;
 
 pub use atomic::write as write_atomic;
-pub use batch_file::{Batch, BatchEntry, BatchFile, Lost, facets_fingerprint};
+pub use batch_file::{Batch, BatchEntry, BatchFile, Content, Lost, Tally, facets_fingerprint};
 pub use document::{Document, ExternalImage, GltfSource, Kind, Resolver, Source, read, read_bytes};
-pub use error::{Error, Place, WriteError};
+pub use error::{Error, Place, WriteError, plainly};
 pub use facet_reader::{FacetDocument, FacetKind, FacetOptions, read_facets, read_facets_bytes};
 pub use options::{Back, ReadOptions, Up};
 pub use solution_file::{StoredSolution, fingerprint, read_solution, write_solution};
-pub use write_factors::{FactorFormat, Precision, write_factors};
+pub use write_factors::{FactorFormat, Precision, write_compressed, write_factors};
 pub use write_gltf::{LitPrimitive, LitScale, lit_glb, write_lit_glb};

@@ -22,6 +22,38 @@ pub enum Error {
     /// Stopped by whoever watches before there was anything to show.
     #[error("stopped before there was anything to show; nothing was written")]
     Stopped,
+    /// The same, where work that is done is kept.
+    #[error("{}: could not be written: {why}; what is done is kept in {}, --resume goes on from there", path.display(), part.display())]
+    WriteKept {
+        /// File.
+        path: PathBuf,
+        /// What stood in the way.
+        why: String,
+        /// Where the work is.
+        part: PathBuf,
+    },
+    /// Stopped by whoever watches; no result is written, but the work that is done is kept.
+    #[error("stopped at {percent:.0} %: no matrix is written, what is done is kept in {}; --resume goes on from there", part.display())]
+    StoppedKept {
+        /// Where the work is.
+        part: PathBuf,
+        /// How much of it, 0..=100.
+        percent: f64,
+    },
+    /// The memory bound is too small for these view factors.
+    #[error(
+        "{scene}: needs about {needed_mb} MB, more than --memory allows ({bound_mb} MB); {advice}"
+    )]
+    FactorsMemory {
+        /// Scene name.
+        scene: String,
+        /// Estimate, 10^6 bytes.
+        needed_mb: u64,
+        /// Bound, 10^6 bytes.
+        bound_mb: u64,
+        /// What was done, what is kept, what can be asked for instead.
+        advice: String,
+    },
     /// The memory bound is too small for this scene.
     #[error("{scene}: needs about {needed_mb} MB, more than --memory allows ({bound_mb} MB)")]
     Memory {

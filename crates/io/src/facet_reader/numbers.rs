@@ -7,6 +7,7 @@
 //! for coarser than a millionth of its largest coordinate.
 
 use crate::error::{Error, clean};
+use crate::obj_reader::text::NO_TEXT;
 
 /// Farthest coordinate, metres: what lies beyond cannot be lit either.
 const FARTHEST_M: f64 = 1e9;
@@ -63,7 +64,7 @@ impl Numbers {
         let value = number(word, expected)?;
         let word = word.unwrap_or_default();
         self.note_digits(word);
-        self.checked(value, || format!("'{}'", clean(word)))
+        self.checked(value, || found(Some(word)))
     }
 
     fn checked(&mut self, value: f64, found: impl Fn() -> String) -> Result<f64, Error> {
@@ -125,9 +126,27 @@ pub(super) fn number(word: Option<&str>, expected: &str) -> Result<f64, Error> {
         .ok_or_else(|| Error::new(expected, found(word)))
 }
 
-/// A word in a message.
+/// Characters of a word that are shown.
+const SHOWN: usize = 40;
+
+/// A word in a message: its beginning, if it can be shown.
 pub(super) fn found(word: Option<&str>) -> String {
-    word.map_or("the end of the line".into(), |w| format!("'{}'", clean(w)))
+    let Some(word) = word else {
+        return "the end of the line".into();
+    };
+    let odd = |c: &char| c.is_control() || *c == char::REPLACEMENT_CHARACTER;
+    if 4 * word.chars().filter(odd).count() > word.chars().count() || word.contains('\0') {
+        return NO_TEXT.into();
+    }
+    let plain = |c| match c {
+        char::REPLACEMENT_CHARACTER => '?',
+        c => c,
+    };
+    let mut shown: String = word.chars().take(SHOWN).map(plain).collect();
+    if word.chars().nth(SHOWN).is_some() {
+        shown.push('…');
+    }
+    format!("'{}'", clean(&shown))
 }
 
 #[cfg(test)]
@@ -167,6 +186,14 @@ mod tests {
         numbers.stored(3.0).unwrap();
         numbers.stored(-100.0).unwrap();
         assert_near(numbers.rounding_m(), 100.0 * f32::EPSILON as f64);
+    }
+
+    #[test]
+    fn a_word_in_a_message_is_short_and_can_be_shown() {
+        assert_eq!(found(Some("1.5m")), "'1.5m'");
+        assert_eq!(found(Some("\u{fffd}\u{3}x")), NO_TEXT);
+        let long = found(Some(&"long".repeat(100)));
+        assert_eq!(long, format!("'{}…'", "long".repeat(10)));
     }
 
     #[test]

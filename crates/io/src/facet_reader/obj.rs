@@ -18,6 +18,9 @@ pub(super) fn read(
 ) -> Result<FacetDocument, Error> {
     budget.take(bytes.len(), 2)?;
     let text = text::decoded(bytes);
+    if text::is_no_text(&text) {
+        return Err(Error::new("a text with lines 'v' and 'f'", text::NO_TEXT));
+    }
     let mut reading = Reading {
         rows: Rows::new(),
         numbers: Numbers::new(input.options.scale, false),

@@ -9,7 +9,7 @@
 use super::numbers::{Numbers, found, number};
 use super::{FacetDocument, Input, Rows, Words};
 use crate::budget::Budget;
-use crate::error::{Error, clean};
+use crate::error::Error;
 use crate::obj_reader::text;
 use luxel_core::{DVec3, Warnings};
 use std::borrow::Cow;
@@ -79,6 +79,10 @@ enum Format {
     Big,
 }
 
+fn head_is_no_text(bytes: &[u8]) -> bool {
+    text::is_no_text(&String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]))
+}
+
 /// Reads the header; returns the format, the elements, and how many bytes and lines it takes.
 fn header(
     bytes: &[u8],
@@ -96,7 +100,11 @@ fn header(
         number += 1;
         let Some(end) = rest.iter().position(|b| matches!(b, b'\n' | b'\r')) else {
             let expected = if number == 1 { "'ply'" } else { "'end_header'" };
-            return Err(Error::new(expected, "the end of the file").at_line(number));
+            let found = match head_is_no_text(rest) {
+                true => text::NO_TEXT,
+                false => "the end of the file",
+            };
+            return Err(Error::new(expected, found).at_line(number));
         };
         let crlf = !only_cr && rest[end..].starts_with(b"\r\n");
         at += end + 1 + crlf as usize;
@@ -109,6 +117,9 @@ fn header(
         if number == 1 {
             match word {
                 Some("ply") => continue,
+                _ if head_is_no_text(bytes) => {
+                    return Err(Error::new("'ply'", text::NO_TEXT).at_line(number));
+                }
                 _ => return wrong("'ply'", word),
             }
         }
@@ -245,7 +256,7 @@ impl Body<'_> {
         if (0.0..=u32::MAX as f64).contains(&value) && value.fract() == 0.0 {
             return Ok(value as u32);
         }
-        let found = word.map_or_else(|| value.to_string(), |w| format!("'{}'", clean(w)));
+        let found = word.map_or_else(|| value.to_string(), |w| found(Some(w)));
         Err(Error::new(expected, found))
     }
 

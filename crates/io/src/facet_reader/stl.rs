@@ -76,7 +76,7 @@ pub(super) fn read(
             binary(input, &bytes[HEADER..end], warnings, budget)
         }
         Some(n) => Err(Error::new(
-            format!("50 bytes for each of {n} triangles"),
+            format!("a text that begins with 'solid', or 50 bytes for each of {n} triangles"),
             format!("{} bytes for them", bytes.len() - HEADER),
         )),
         None => Err(Error::new(
@@ -340,7 +340,7 @@ mod tests {
             ),
             (
                 cut,
-                "t.stl: expected 50 bytes for each of 2 triangles, found 16 bytes for them",
+                "t.stl: expected a text that begins with 'solid', or 50 bytes for each of 2 triangles, found 16 bytes for them",
             ),
             (
                 Vec::new(),

@@ -90,6 +90,12 @@ pub(super) fn read(
 ) -> Result<FacetDocument, Error> {
     budget.take(bytes.len(), 2)?;
     let text = text::decoded(bytes);
+    if text::is_no_text(&text) {
+        return Err(Error::new(
+            "a text with lines T, C, F, V, S, N, O or E",
+            text::NO_TEXT,
+        ));
+    }
     let mut reading = Reading {
         document: FacetDocument::default(),
         numbers: Numbers::new(input.options.scale, false),

@@ -7,6 +7,7 @@ use crate::budget::Budget;
 use crate::document::{ExternalImage, Resolver};
 use crate::error::{Error, Within, clean};
 use crate::json::{Json, entry};
+use crate::obj_reader::text;
 use crate::picture;
 use crate::uri;
 use serde_json::Value;
@@ -21,6 +22,10 @@ pub(crate) struct Container<'a> {
 pub(crate) fn container(bytes: &[u8]) -> Result<Container<'_>, Error> {
     if !bytes.starts_with(b"glTF") {
         let json = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let head = String::from_utf8_lossy(&json[..json.len().min(4096)]);
+        if text::is_no_text(&head) {
+            return Err(Error::new("'glTF' and binary data, or JSON", text::NO_TEXT));
+        }
         return Ok(Container { json, bin: None });
     }
     let word = |at: usize| -> Option<u32> {

@@ -145,7 +145,7 @@ fn json_of(text: &[u8], budget: &mut Budget) -> Result<Value, Error> {
     serde_json::from_slice(text).map_err(|e| {
         let message = e.to_string();
         let what = message.split(" at line ").next().unwrap_or(&message);
-        Error::new("JSON", what).at_line(e.line())
+        Error::new("JSON", format!("what is none ({what})")).at_line(e.line())
     })
 }
 

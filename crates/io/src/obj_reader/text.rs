@@ -18,6 +18,27 @@ pub(crate) fn decoded(bytes: &[u8]) -> Cow<'_, str> {
     }
 }
 
+/// What stands in a message for bytes that cannot be shown.
+pub(crate) const NO_TEXT: &str = "bytes that are no text";
+
+/// Characters that are looked at to tell text from other bytes.
+const LOOKED_AT: usize = 4096;
+
+/// Whether it is something else than text: zero bytes, or more than one control character in
+/// fifty. Names in encodings that are not known have neither.
+pub(crate) fn is_no_text(text: &str) -> bool {
+    let (mut all, mut odd) = (0, 0);
+    for c in text.chars().take(LOOKED_AT) {
+        if c == '\0' {
+            return true;
+        }
+        all += 1;
+        // Escape and end-of-file are left by old editors.
+        odd += (c.is_control() && !c.is_whitespace() && !matches!(c, '\x1a' | '\x1b')) as usize;
+    }
+    50 * odd > all
+}
+
 /// Lines with the number of their first line, from 1. A backslash at the end of a line joins the
 /// next one to it. Lines end with LF, CR LF or CR.
 pub(crate) struct Lines<'a> {
@@ -108,6 +129,20 @@ mod tests {
         assert_eq!(decoded(b"\xff\xfev\0 \0"), "v ");
         assert_eq!(decoded(b"\xfe\xff\0v"), "v");
         assert_eq!(decoded(b"\xff\xfev"), "");
+    }
+
+    #[test]
+    fn text_is_told_from_other_bytes() {
+        for text in [
+            "",
+            "v 1 2 3\r\n\tf 1\x1a",
+            "# Gr\u{fffd}\u{fffd}\u{fffd}e\n",
+        ] {
+            assert!(!is_no_text(text), "{text:?}");
+        }
+        for bytes in ["v\0 \x001", "\x01\x02abc", "\u{7f}\u{80}\u{81}"] {
+            assert!(is_no_text(bytes), "{bytes:?}");
+        }
     }
 
     #[test]

@@ -6,10 +6,14 @@
 //! | `.csv` | a line `row,column,factor` an entry, under such a line | from 0 |
 //! | `.mtx` | Matrix Market, coordinate real general | from 1, as that format asks |
 //!
+//! [`write_compressed`] writes a matrix of another kind: low-rank blocks and single entries.
+//!
 //! Rows are read from the matrix as they are written, more than once if need be, so a matrix
 //! that just fits into memory can be written. The same matrix gives the same bytes. A file is
 //! whole or what was there before stays (see [`atomic`]).
 
+mod arrays;
+mod compressed;
 mod csv;
 mod mtx;
 mod npz;
@@ -19,6 +23,8 @@ use crate::error::WriteError;
 use luxel_core::SparseRows;
 use std::io::{self, Write};
 use std::path::Path;
+
+pub use compressed::write_compressed;
 
 /// A format that a matrix of factors can be written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

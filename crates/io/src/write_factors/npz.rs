@@ -1,4 +1,4 @@
-//! A CSR matrix as `scipy.sparse.load_npz` opens it: arrays of numpy in a ZIP file.
+//! A CSR matrix as `scipy.sparse.load_npz` opens it: [arrays](super::arrays) of these names.
 //!
 //! | member | type | what |
 //! |---|---|---|
@@ -9,21 +9,12 @@
 //! | `data` | f32 or f64 | value of each entry |
 //! | `areas` | f64 | area of each row, m²; `load_npz` passes over it, `numpy.load` shows it |
 //!
-//! Members are stored, not compressed: factors are noise to a compressor. Those of 4 GiB and more
-//! are ZIP64. Rows are read twice, for `indices` and for `data`.
-//!
-//! Source: numpy's description of the npy format, version 1.0; [PKZIP].
+//! Rows are read twice, for `indices` and for `data`.
 
+use super::arrays::{self, Arrays, Kind};
 use super::{Precision, each_row};
 use luxel_core::SparseRows;
-use std::cell::RefCell;
-use std::io::{self, Seek, SeekFrom, Write};
-use zip::result::ZipError;
-use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, DateTime, System, ZipWriter};
-
-/// Bytes gathered before they are handed on: rows can be short.
-const RUN: usize = 1 << 16;
+use std::io::{self, Seek, Write};
 
 /// Writes all of the file to `out`.
 pub(super) fn write(
@@ -32,30 +23,11 @@ pub(super) fn write(
     areas_m2: &[f64],
     precision: Precision,
 ) -> io::Result<()> {
-    let failure = RefCell::new(None);
-    let zip = ZipWriter::new(Patient {
-        out,
-        at: 0,
-        end: 0,
-        failure: &failure,
-    });
-    let written = write_members(
-        Members {
-            zip,
-            failure: &failure,
-        },
-        rows,
-        areas_m2,
-        precision,
-    );
-    match failure.into_inner() {
-        Some(first) => Err(first),
-        None => written,
-    }
+    arrays::write(out, |npz| write_members(npz, rows, areas_m2, precision))
 }
 
 fn write_members(
-    mut npz: Members<impl Write + Seek>,
+    npz: &mut Arrays<impl Write + Seek>,
     rows: &dyn SparseRows,
     areas_m2: &[f64],
     precision: Precision,
@@ -93,215 +65,22 @@ fn write_members(
         npz.floats(value, entries.iter().map(|e| e.1))
     })?;
     npz.start("areas", Kind::F64, &[height as u64])?;
-    npz.floats(Kind::F64, areas_m2.iter().copied())?;
-    npz.finish()
-}
-
-/// Element type of an array.
-#[derive(Clone, Copy)]
-enum Kind {
-    I32,
-    I64,
-    F32,
-    F64,
-    /// Bytes of this length.
-    Text(u64),
-}
-
-impl Kind {
-    /// As numpy writes it, and bytes an element.
-    fn described(self) -> (String, u64) {
-        match self {
-            Kind::I32 => ("<i4".into(), 4),
-            Kind::I64 => ("<i8".into(), 8),
-            Kind::F32 => ("<f4".into(), 4),
-            Kind::F64 => ("<f8".into(), 8),
-            Kind::Text(n) => (format!("|S{n}"), n),
-        }
-    }
-}
-
-/// The head of an npy file: magic, version 1.0, then a dictionary filled up to 64 bytes.
-fn npy_head(descr: &str, shape: &[u64]) -> Vec<u8> {
-    let shape = match shape {
-        [n] => format!("({n},)"),
-        _ => format!(
-            "({})",
-            shape
-                .iter()
-                .map(u64::to_string)
-                .collect::<Vec<_>>()
-                .join(", ")
-        ),
-    };
-    let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
-    // Data begins at a multiple of 64; 10 bytes come before the text, a line end after it.
-    let filled = (10 + text.len() + 1).next_multiple_of(64);
-    text.push_str(&" ".repeat(filled - 11 - text.len()));
-    text.push('\n');
-    let mut head = b"\x93NUMPY\x01\x00".to_vec();
-    head.extend((text.len() as u16).to_le_bytes());
-    head.extend(text.as_bytes());
-    head
-}
-
-/// Arrays one after the other in a ZIP file.
-struct Members<'a, W: Write + Seek> {
-    zip: ZipWriter<W>,
-    failure: &'a RefCell<Option<io::Error>>,
-}
-
-impl<W: Write + Seek> Members<'_, W> {
-    /// Begins the next array. Its elements follow, as many as `shape` says.
-    fn start(&mut self, name: &str, kind: Kind, shape: &[u64]) -> io::Result<()> {
-        let (descr, size) = kind.described();
-        let head = npy_head(&descr, shape);
-        let bytes = head.len() as u64 + size * shape.iter().product::<u64>();
-        let options = SimpleFileOptions::default()
-            .compression_method(CompressionMethod::Stored)
-            // No clock and no system in the file: the same matrix, the same bytes.
-            .last_modified_time(DateTime::default())
-            .system(System::Unix)
-            .unix_permissions(0o644)
-            .large_file(bytes >= u32::MAX as u64);
-        self.zip
-            .start_file(format!("{name}.npy"), options)
-            .map_err(io_error)?;
-        self.bytes(&head)
-    }
-
-    fn integers(&mut self, kind: Kind, values: impl Iterator<Item = u64>) -> io::Result<()> {
-        self.each(values, |run, v| match kind {
-            Kind::I32 => run.extend((v as i32).to_le_bytes()),
-            _ => run.extend(v.to_le_bytes()),
-        })
-    }
-
-    fn floats(&mut self, kind: Kind, values: impl Iterator<Item = f64>) -> io::Result<()> {
-        self.each(values, |run, v| match kind {
-            Kind::F32 => run.extend((v as f32).to_le_bytes()),
-            _ => run.extend(v.to_le_bytes()),
-        })
-    }
-
-    fn each<T>(
-        &mut self,
-        values: impl Iterator<Item = T>,
-        put: impl Fn(&mut Vec<u8>, T),
-    ) -> io::Result<()> {
-        let mut run = Vec::with_capacity(RUN.min(8 * values.size_hint().0));
-        for v in values {
-            if run.len() + 8 > RUN {
-                self.bytes(&run)?;
-                run.clear();
-            }
-            put(&mut run, v);
-        }
-        self.bytes(&run)
-    }
-
-    fn bytes(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.zip.write_all(bytes)?;
-        self.go_on()
-    }
-
-    fn finish(self) -> io::Result<()> {
-        self.zip.finish().map(|_| ()).map_err(io_error)
-    }
-
-    /// Stops the writing after a failure; the failure itself is told by [`write`].
-    fn go_on(&self) -> io::Result<()> {
-        match *self.failure.borrow() {
-            Some(_) => Err(io::Error::other("writing failed")),
-            None => Ok(()),
-        }
-    }
-}
-
-fn io_error(e: ZipError) -> io::Error {
-    match e {
-        ZipError::Io(e) => e,
-        other => io::Error::other(other),
-    }
-}
-
-/// A file that keeps its first failure to itself and from then on takes all and writes nothing.
-///
-/// Without it, a full disk shows twice: `ZipWriter` tries again to end the archive when it is
-/// dropped, and prints what comes of it.
-struct Patient<'a, W> {
-    out: &'a mut W,
-    at: u64,
-    end: u64,
-    failure: &'a RefCell<Option<io::Error>>,
-}
-
-impl<W: Write + Seek> Patient<'_, W> {
-    /// Does `act` unless something failed before; none if it fails.
-    fn attempt<T>(&mut self, act: impl FnOnce(&mut W) -> io::Result<T>) -> Option<T> {
-        let mut failure = self.failure.borrow_mut();
-        if failure.is_some() {
-            return None;
-        }
-        act(self.out).map_err(|e| *failure = Some(e)).ok()
-    }
-}
-
-impl<W: Write + Seek> Write for Patient<'_, W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.attempt(|out| out.write_all(bytes));
-        self.at += bytes.len() as u64;
-        self.end = self.end.max(self.at);
-        Ok(bytes.len())
-    }
-    fn flush(&mut self) -> io::Result<()> {
-        self.attempt(W::flush);
-        Ok(())
-    }
-}
-
-impl<W: Write + Seek> Seek for Patient<'_, W> {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        let target = match to {
-            SeekFrom::Start(n) => Some(n),
-            SeekFrom::Current(d) => self.at.checked_add_signed(d),
-            SeekFrom::End(d) => self.end.checked_add_signed(d),
-        };
-        let target = target.ok_or(io::ErrorKind::InvalidInput)?;
-        if target != self.at {
-            self.attempt(|out| out.seek(SeekFrom::Start(target)));
-            self.at = target;
-        }
-        Ok(target)
-    }
+    npz.floats(Kind::F64, areas_m2.iter().copied())
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::arrays::RUN;
+    use super::super::arrays::testing::array;
     use super::super::testing::Rows;
     use super::*;
-    use std::io::{Cursor, Read};
+    use std::io::{Cursor, SeekFrom};
     use zip::ZipArchive;
 
     fn written(rows: &Rows, areas: &[f64], precision: Precision) -> Vec<u8> {
         let mut out = Cursor::new(Vec::new());
         write(&mut out, rows, areas, precision).expect("written");
         out.into_inner()
-    }
-
-    /// Dictionary and data of an array.
-    fn array(bytes: &[u8], name: &str) -> (String, Vec<u8>) {
-        let mut archive = ZipArchive::new(Cursor::new(bytes)).expect("a ZIP file");
-        let mut member = archive.by_name(&format!("{name}.npy")).expect("there");
-        let mut npy = Vec::new();
-        // Reading to the end checks the CRC-32.
-        member.read_to_end(&mut npy).expect("whole");
-        assert_eq!(&npy[..8], b"\x93NUMPY\x01\x00");
-        let data = 10 + u16::from_le_bytes([npy[8], npy[9]]) as usize;
-        assert_eq!(data % 64, 0, "data begins at a multiple of 64");
-        assert_eq!(npy[data - 1], b'\n');
-        let text = std::str::from_utf8(&npy[10..data - 1]).expect("text");
-        (text.trim_end().to_owned(), npy[data..].to_vec())
     }
 
     fn head(descr: &str, shape: &str) -> String {

@@ -413,3 +413,60 @@ proptest! {
         }
     }
 }
+
+/// Bytes without a pattern, the same each time (splitmix64).
+fn noise(count: usize, seed: u64) -> Vec<u8> {
+    let mut state = seed;
+    let mut next = || {
+        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    };
+    (0..count).map(|_| next() as u8).collect()
+}
+
+#[test]
+fn noise_is_refused_in_a_short_line_that_can_be_shown() {
+    for (name, says) in [
+        ("x.stl", "a text that begins with 'solid', or 50 bytes"),
+        (
+            "x.ply",
+            "x.ply:1: expected 'ply', found bytes that are no text",
+        ),
+        (
+            "x.obj",
+            "x.obj: expected a text with lines 'v' and 'f', found bytes that are no text",
+        ),
+        (
+            "x.glb",
+            "x.glb: expected 'glTF' and binary data, or JSON, found bytes that are no text",
+        ),
+        (
+            "x.vs3",
+            "x.vs3: expected a text with lines T, C, F, V, S, N, O or E, found bytes",
+        ),
+    ] {
+        let kind = FacetKind::of(std::path::Path::new(name)).expect("known");
+        let read = |bytes: Vec<u8>| {
+            read_facets_bytes(kind, name, bytes, &alone, &FacetOptions::default())
+                .map(|_| ())
+                .expect_err("noise")
+                .to_string()
+        };
+        let fit = |told: &str| {
+            let shown = |c: char| !c.is_control() && c != char::REPLACEMENT_CHARACTER;
+            told.chars().all(shown) && told.chars().count() < 160
+        };
+        for seed in 0..40 {
+            let told = read(noise(3000, seed));
+            assert!(told.contains(says) && fit(&told), "{seed}: {told}");
+            // Of short ones too little is seen to say what they are.
+            for count in [0, 1, 3, 20, 90, 200] {
+                let told = read(noise(count, 100 + seed));
+                assert!(fit(&told), "{seed}, {count}: {told}");
+            }
+        }
+    }
+}

@@ -1,8 +1,12 @@
 //! View factors of a scene file: read, computed, repaired if asked, written with a report.
 //!
-//! The work goes in batches. What is done is kept in `OUTPUT.part` beside the output as soon as
-//! it takes long, so a stop or a kill loses little; `resume` goes on from there.
+//! - `batches`: the work in batches, kept in `OUTPUT.part` beside the output
+//! - `compressed`: the end of a run with a compressed matrix
+//! - [`zones`]: facets taken together
+//! - [`report`]: what was promised, what was measured
 
+mod batches;
+mod compressed;
 pub mod report;
 pub mod zones;
 
@@ -10,24 +14,17 @@ use crate::error::Error;
 use crate::spare::replaced;
 use crate::stage::{Clock, Stage, peak_memory_bytes};
 use crate::watch::{Control, Status, Watch, enter};
-use luxel_core::{DVec3, Facets, SparseRows, Warnings};
+use luxel_core::{DVec3, SparseRows, Warnings};
 use luxel_io::{
-    Batch as StoredBatch, BatchEntry, BatchFile, FacetDocument, FacetOptions, FactorFormat,
-    Precision, WriteError, facets_fingerprint, read_facets, write_factors,
+    FacetDocument, FacetOptions, FactorFormat, Precision, WriteError, read_facets, write_factors,
 };
 use luxel_transport::closure_repair::{ExchangeAreas, Repair, RepairSettings, repair_closure};
-use luxel_transport::facets::{
-    Batch, Counts, ExchangeMatrix, FacetFactors, FacetSettings, Triplet,
-};
+use luxel_transport::facets::{Batch, ExchangeMatrix, FacetFactors, FacetSettings, Triplet};
 use rayon::prelude::*;
 use report::FactorsReport;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 use zones::{Table, ZoneWishes, Zones};
-
-/// Work is kept at most this often.
-const KEEP_EVERY: Duration = Duration::from_secs(5);
 
 /// Rows that miss 1 by more than this on the mean, or a factor that would change by more than
 /// that share of itself, are no errors of closed scenes.
@@ -36,9 +33,6 @@ const MOST_CHANGE: f64 = 0.1;
 
 /// A row may sum to 1 and this many times the promise.
 const MOST_ABOVE: f64 = 20.0;
-
-/// Bytes of an entry while it is found, and twice when it is stored.
-const ENTRY_BYTES: u64 = 12 + 16;
 
 /// What to compute and where to put it.
 #[derive(Clone, Debug)]
@@ -67,10 +61,13 @@ pub struct FactorsJob {
     pub spared: Vec<PathBuf>,
     /// Whether to repair closure: the scene is closed.
     pub enclosed: bool,
+    /// Whether to keep blocks of low rank instead of all factors: for scenes whose factors do not
+    /// fit into memory. All rows between facets, as `.npz`.
+    pub compressed: bool,
     /// Whether to go on with work that was stopped.
     pub resume: bool,
-    /// How numbers are stored.
-    pub precision: Precision,
+    /// How numbers are stored; `None` is double.
+    pub precision: Option<Precision>,
     /// Most memory to use, bytes.
     pub memory: u64,
 }
@@ -97,6 +94,8 @@ pub struct FactorsOutcome {
     pub warnings: Warnings,
     /// Whether all that was asked is there.
     pub complete: bool,
+    /// Where work is kept that a later run can go on with.
+    pub kept_in: Option<PathBuf>,
 }
 
 /// Computes and writes the view factors of a scene file. `watch` is told of every step and may
@@ -108,7 +107,20 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         .output
         .clone()
         .unwrap_or_else(|| job.scene.with_extension("factors.npz"));
-    FactorFormat::of(&output).map_err(|e| Error::Setting(e.to_string()))?;
+    let format = FactorFormat::of(&output).map_err(|e| Error::Setting(e.to_string()))?;
+    if job.compressed {
+        if let Some(name) = incompatible(job) {
+            return Err(Error::Setting(format!(
+                "--compressed: expected all rows between facets, without {name}, found {name}"
+            )));
+        }
+        if format != FactorFormat::Npz {
+            return Err(Error::Setting(format!(
+                "--compressed: expected an output that ends in .npz, found {}",
+                output.display()
+            )));
+        }
+    }
     let read: Vec<PathBuf> = [&job.scene]
         .into_iter()
         .chain(&job.spared)
@@ -125,6 +137,13 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         return Err(Error::Setting(
             "--points: expected at least one point, found none".into(),
         ));
+    }
+    // Before the work, not after it.
+    for path in &written {
+        luxel_io::atomic::try_place(path).map_err(|source| Error::Write {
+            path: path.clone(),
+            source,
+        })?;
     }
     let options = FacetOptions {
         scale: job.scale,
@@ -157,26 +176,29 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         );
     }
     let part = part_path(&output);
-    if !job.resume && part.exists() {
-        document.warnings.add(
-            part.display().to_string(),
-            "finished work of an earlier run is there; --resume would go on with it",
-            1,
-        );
+    if job.compressed {
+        let places = [&*output, &*part];
+        return compressed::compressed(&asked, document, &work, report, clock, places, watch);
     }
-    let facets = &document.facets;
-    let found = compute(job, facets, &work, &asked, &part, watch)?;
+    let FacetDocument {
+        facets, warnings, ..
+    } = &mut document;
+    let mut found = batches::compute::<Batch>(facets, &work, &asked, &part, warnings, watch)?;
     clock.end(Stage::Factors);
     watch(&Status::begin(Stage::Write));
+    found.keep_rest(&work);
+    found.say(warnings);
 
-    let finished = work.finished(found.done);
+    let done = found.batches.len();
+    let finished = work.finished(done);
     let keep: Vec<bool> = finished
         .iter()
         .enumerate()
         .map(|(row, &done)| done && asked.rows.contains(&(row as u32)))
         .collect();
-    let complete = found.done == work.batches();
+    let complete = done == work.batches();
     let areas = facets.areas();
+    let precision = job.precision.unwrap_or(Precision::Double);
     let mut lost = vec![0.0; areas.len()];
     let mut matrix = assembled(&areas, &found.batches, job.threshold, &mut lost);
     report.counts(&found.counts, &areas);
@@ -214,11 +236,17 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
     let written = match &zones {
         None => {
             report.facets(facets, &areas);
-            write_factors(&output, &kept, &areas, job.precision)
+            write_factors(&output, &kept, &areas, precision)
         }
         Some(zones) => {
             let table = Table::of_zones(&kept, &areas, zones, !job.to_zones, &keep);
-            report.zones(zones, &areas, &table, !job.to_zones);
+            let whole = zones.complete(&keep);
+            let empty = whole.iter().filter(|&&w| !w).count();
+            if !job.to_zones {
+                let what = "zones are left empty: not all their rows were computed";
+                document.warnings.add(facets.name.clone(), what, empty);
+            }
+            report.zones(zones, &areas, &table, (!job.to_zones).then_some(&whole));
             let row_areas = if job.to_zones {
                 areas.clone()
             } else {
@@ -227,50 +255,85 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
             if job.to_zones {
                 report.facets(facets, &areas);
             }
-            write_factors(&output, &table, &row_areas, job.precision)
+            write_factors(&output, &table, &row_areas, precision)
         }
     };
-    report.bytes = written.map_err(write_error)?;
+    report.bytes = written.map_err(|e| unwritten(e, found.file_path()))?;
     report.complete = complete;
     report.finished_rows = keep.iter().filter(|&&k| k).count();
     let report_path = finish(&mut report, &document.warnings, &mut clock, &output)?;
-    if complete && let Some(file) = found.file {
-        file.remove().map_err(write_error)?;
+    if complete {
+        found.remove().map_err(|e| unwritten(e, None))?;
     }
+    let kept_in = found.kept_in().map(Path::to_owned);
     Ok(FactorsOutcome {
         output,
         report_path,
         report,
         warnings: document.warnings,
         complete,
+        kept_in,
     })
 }
 
+/// The option that does not go with a compressed matrix, if there is one.
+fn incompatible(job: &FactorsJob) -> Option<&'static str> {
+    [
+        (job.rows.is_some(), "--rows"),
+        (job.threshold > 0.0, "--threshold"),
+        (job.enclosed, "--enclosed"),
+        (job.zones.by.is_some(), "--by"),
+        (!job.zones.groups.is_empty(), "--group"),
+        (job.to_zones, "--to-zones"),
+        (job.points.is_some(), "--points"),
+        (job.precision.is_some(), "--precision"),
+    ]
+    .into_iter()
+    .find_map(|(asked, name)| asked.then_some(name))
+}
+
 /// What a job and its file ask for together.
-pub(crate) struct Asked {
+pub(crate) struct Asked<'a> {
+    pub(crate) job: &'a FactorsJob,
     pub(crate) error: f64,
     pub(crate) rows: Range<u32>,
     pub(crate) enclosed: bool,
 }
 
-impl Asked {
-    fn new(job: &FactorsJob, document: &mut FacetDocument) -> Result<Asked, Error> {
+impl<'a> Asked<'a> {
+    fn new(job: &'a FactorsJob, document: &mut FacetDocument) -> Result<Asked<'a>, Error> {
         let place = document.facets.name.clone();
         let number = |document: &FacetDocument, name: &str| {
             document.control(name).and_then(|v| v.parse::<f64>().ok())
         };
         let count = document.facets.rows.len() as u32;
-        let of_file = |document: &FacetDocument| match number(document, "row") {
-            Some(row) if row >= 1.0 => (row as u32 - 1)..(row as u32),
-            _ => 0..count,
+        let all = 0..count;
+        let of_file = number(document, "row").filter(|&row| row >= 1.0);
+        let rows = match (&job.rows, of_file) {
+            (Some(rows), _) => {
+                let open = rows.end == u32::MAX;
+                if rows.start >= count || (rows.end > count && !open) {
+                    let end = if open {
+                        String::new()
+                    } else {
+                        rows.end.to_string()
+                    };
+                    return Err(Error::Setting(format!(
+                        "--rows: expected rows below {count}, found {}..{end}",
+                        rows.start
+                    )));
+                }
+                rows.start..rows.end.min(count)
+            }
+            (None, Some(row)) if row > count as f64 => {
+                return Err(Error::Setting(format!(
+                    "{}: row: expected a row from 1 to {count}, found {row}",
+                    job.scene.display()
+                )));
+            }
+            (None, Some(row)) if !job.compressed => (row as u32 - 1)..(row as u32),
+            _ => all,
         };
-        let rows = job.rows.clone().unwrap_or_else(|| of_file(document));
-        if rows.start >= count {
-            return Err(Error::Setting(format!(
-                "--rows: expected rows below {count}, found {}",
-                rows.start
-            )));
-        }
         for (name, what) in [
             (
                 "emit",
@@ -282,12 +345,21 @@ impl Asked {
                 document.warnings.add(place.clone(), what, 1);
             }
         }
+        if job.compressed && of_file.is_some() {
+            let what = "row asks for one row; --compressed takes all";
+            document.warnings.add(place.clone(), what, 1);
+        }
+        if job.compressed && document.enclosed {
+            let what = "encl=1 asks for rows that sum to 1; --compressed does not repair closure";
+            document.warnings.add(place, what, 1);
+        }
         Ok(Asked {
+            job,
             error: job
                 .error
                 .or(number(document, "eps").map(|e| e.clamp(1e-8, 0.1)))
                 .unwrap_or(1e-4),
-            rows: rows.start..rows.end.min(count),
+            rows,
             enclosed: job.enclosed || document.enclosed,
         })
     }
@@ -295,160 +367,12 @@ impl Asked {
     fn all_rows(&self, rows: usize) -> bool {
         self.rows == (0..rows as u32)
     }
-}
 
-/// The batches that are done.
-struct Found {
-    batches: Vec<Batch>,
-    counts: Counts,
-    done: usize,
-    file: Option<BatchFile>,
-}
-
-fn compute(
-    job: &FactorsJob,
-    facets: &Facets,
-    work: &FacetFactors,
-    asked: &Asked,
-    part: &Path,
-    watch: &mut Watch<'_>,
-) -> Result<Found, Error> {
-    let settings = [format!("{:e}", asked.error), format!("{:?}", asked.rows)];
-    let words: Vec<&str> = settings.iter().map(String::as_str).collect();
-    let fingerprint = facets_fingerprint(facets, &words);
-    let mut found = Found {
-        batches: Vec::new(),
-        counts: Counts::default(),
-        done: 0,
-        file: None,
-    };
-    if job.resume && part.exists() {
-        let (file, stored, _) = BatchFile::resume(part, fingerprint)?;
-        for batch in stored {
-            // In order from the first; what follows a gap is done again.
-            if batch.id as usize == found.done {
-                found.batches.push(from_stored(&batch));
-                found.done += 1;
-            }
-        }
-        found.file = Some(file);
-    }
-    let began = Instant::now();
-    let total: f64 = (0..work.batches()).map(|b| work.share(b)).sum();
-    let mut share: f64 = (0..found.done).map(|b| work.share(b)).sum();
-    let (start_share, mut kept, mut kept_at) = (share, found.done, Instant::now());
-    let mut entries: u64 = found.batches.iter().map(|b| b.found.len() as u64).sum();
-    while found.done < work.batches() {
-        let advanced = share - start_share;
-        let status = Status {
-            share: (share / total.max(f64::MIN_POSITIVE)).max(0.0),
-            left_s: (advanced > 0.02 * total)
-                .then(|| began.elapsed().as_secs_f64() * (total - share) / advanced),
-            ..Status::begin(Stage::Factors)
-        };
-        let stop = watch(&status) == Control::Stop;
-        if stop || kept_at.elapsed() > KEEP_EVERY {
-            keep(&mut found, kept, part, fingerprint)?;
-            (kept, kept_at) = (found.done, Instant::now());
-        }
-        if stop {
-            break;
-        }
-        let Some(batch) = watched(work, found.done, &status, watch) else {
-            keep(&mut found, kept, part, fingerprint)?;
-            break;
-        };
-        entries += batch.found.len() as u64;
-        found.counts.add(&batch.counts);
-        found.batches.push(batch);
-        share += work.share(found.done);
-        found.done += 1;
-        if entries * ENTRY_BYTES > job.memory {
-            let needed = entries as f64 * ENTRY_BYTES as f64 * total / share;
-            keep(&mut found, kept, part, fingerprint)?;
-            return Err(Error::Memory {
-                scene: format!(
-                    "{}: {} factors so far; take rows in parts (--rows 0..1000)",
-                    facets.name, entries
-                ),
-                needed_mb: needed as u64 / 1_000_000,
-                bound_mb: job.memory / 1_000_000,
-            });
-        }
-    }
-    Ok(found)
-}
-
-/// Computes a batch and asks the watcher now and then; nothing if it wants no more.
-fn watched(
-    work: &FacetFactors,
-    batch: usize,
-    status: &Status,
-    watch: &mut Watch<'_>,
-) -> Option<Batch> {
-    const EVERY: Duration = Duration::from_millis(50);
-    std::thread::scope(|scope| {
-        let (send, receive) = std::sync::mpsc::channel();
-        scope.spawn(move || send.send(work.compute(batch)));
-        loop {
-            match receive.recv_timeout(EVERY) {
-                Ok(batch) => return Some(batch),
-                Err(std::sync::mpsc::RecvTimeoutError::Timeout) => {
-                    if watch(status) == Control::Stop {
-                        work.stop();
-                        return None;
-                    }
-                }
-                // The computing thread panicked; the scope passes that on.
-                Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => return None,
-            }
-        }
-    })
-}
-
-/// Appends the batches from `first` on to the file of the work.
-fn keep(found: &mut Found, first: usize, part: &Path, fingerprint: u64) -> Result<(), Error> {
-    if found.batches.len() <= first {
-        return Ok(());
-    }
-    if found.file.is_none() {
-        found.file = Some(BatchFile::create(part, fingerprint)?);
-    }
-    if let Some(file) = &mut found.file {
-        for (id, batch) in found.batches.iter().enumerate().skip(first) {
-            file.append(&to_stored(id, batch)).map_err(write_error)?;
-        }
-    }
-    Ok(())
-}
-
-fn to_stored(id: usize, batch: &Batch) -> StoredBatch {
-    StoredBatch {
-        id: id as u32,
-        entries: batch
-            .found
-            .iter()
-            .map(|t| BatchEntry {
-                row: t.row,
-                column: t.column,
-                value: t.exchange,
-            })
-            .collect(),
-    }
-}
-
-fn from_stored(batch: &StoredBatch) -> Batch {
-    Batch {
-        found: batch
-            .entries
-            .iter()
-            .map(|e| Triplet {
-                row: e.row,
-                column: e.column,
-                exchange: e.value,
-            })
-            .collect(),
-        counts: Counts::default(),
+    /// What would have to be given up for a compressed matrix.
+    pub(crate) fn not_compressed(&self) -> Option<&'static str> {
+        incompatible(self.job)
+            .filter(|&name| name != "--precision")
+            .or((self.enclosed).then_some("encl=1"))
     }
 }
 
@@ -566,7 +490,9 @@ fn from_points(
     report.points(&table, zones.as_ref(), &document.facets.areas());
     // A point has no area.
     let areas = vec![0.0; points.len()];
-    report.bytes = write_factors(output, &table, &areas, job.precision).map_err(write_error)?;
+    let precision = job.precision.unwrap_or(Precision::Double);
+    let written = write_factors(output, &table, &areas, precision);
+    report.bytes = written.map_err(|e| unwritten(e, None))?;
     report.complete = complete;
     let report_path = finish(&mut report, &document.warnings, &mut clock, output)?;
     Ok(FactorsOutcome {
@@ -575,6 +501,7 @@ fn from_points(
         report,
         warnings: document.warnings.clone(),
         complete,
+        kept_in: None,
     })
 }
 
@@ -612,9 +539,15 @@ fn report_path(output: &Path) -> PathBuf {
     output.with_extension("json")
 }
 
-fn write_error(error: WriteError) -> Error {
-    match error {
-        WriteError::System { path, source } => Error::Write { path, source },
-        other => Error::Setting(other.to_string()),
+/// Why a file could not be written, and where the work is kept, if it is.
+fn unwritten(error: WriteError, part: Option<&Path>) -> Error {
+    match (error, part) {
+        (WriteError::System { path, source }, Some(part)) => Error::WriteKept {
+            why: luxel_io::plainly(&source),
+            path,
+            part: part.to_owned(),
+        },
+        (WriteError::System { path, source }, None) => Error::Write { path, source },
+        (other, _) => Error::Setting(other.to_string()),
     }
 }

@@ -34,8 +34,9 @@ pub struct FactorsReport {
     pub complete: bool,
     /// Rows that are there.
     pub finished_rows: usize,
-    /// Factors above zero.
-    pub entries: u64,
+    /// Factors above zero; not counted in a compressed matrix.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub entries: Option<u64>,
     /// |1 - sum over a row|, where a scene is closed: mean, and the largest.
     pub closure_mean: f64,
     /// Largest, and its row.
@@ -44,23 +45,28 @@ pub struct FactorsReport {
     pub closure_worst_row: usize,
     /// Largest sum over a row. Above 1 by no more than errors allow.
     pub row_sum_largest: f64,
-    /// Largest |A_i F_ij - A_j F_ji| over the larger of both, as written.
-    pub reciprocity_worst: f64,
+    /// Largest |A_i F_ij - A_j F_ji| over the larger of both, as written; a compressed matrix has
+    /// each pair once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reciprocity_worst: Option<f64>,
     /// Largest share that a row lost to --threshold.
     pub lost_worst: f64,
     /// Mean of it.
     pub lost_mean: f64,
-    /// How pairs were settled, by this run.
+    /// How pairs were settled.
     pub pairs: PairCounts,
+    /// What a compressed matrix holds, and how good it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub compressed: Option<CompressedReport>,
     /// Closure repair, where it was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub repair: Option<RepairReport>,
     /// Zones, where there are any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub zones: Option<Vec<ZoneReport>>,
-    /// Factors between zones: row by row, where rows are zones.
+    /// Factors between zones: row by row, where rows are zones; null where rows are missing.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub zone_factors: Option<Vec<Vec<f64>>>,
+    pub zone_factors: Option<Vec<Option<Vec<f64>>>>,
     /// Wall seconds by stage.
     pub seconds: Vec<(String, f64)>,
     /// Processor seconds of all stages.
@@ -99,6 +105,41 @@ pub struct PairCounts {
     pub points: u64,
 }
 
+/// A compressed matrix.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct CompressedReport {
+    /// Memory that it takes, bytes.
+    pub memory_bytes: u64,
+    /// Blocks of low rank.
+    pub blocks: u64,
+    /// Pairs of parts that they stand for.
+    pub block_pairs: u64,
+    /// Numbers in them.
+    pub block_numbers: u64,
+    /// Tiles of single entries.
+    pub tiles: u64,
+    /// Single entries: pairs of parts, each once.
+    pub entries: u64,
+    /// Wall time of one product.
+    pub product_seconds: f64,
+    /// Errors of a few products.
+    pub product_errors: Vec<MeasuredProduct>,
+}
+
+/// Error of what rows receive, against rows that were computed singly; relative to the root mean
+/// square over these rows.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct MeasuredProduct {
+    /// What sends.
+    pub source: String,
+    /// Rows that were computed.
+    pub rows: usize,
+    /// Of the worst row.
+    pub worst: f64,
+    /// Root mean square over the rows.
+    pub rms: f64,
+}
+
 /// What closure repair did.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct RepairReport {
@@ -129,13 +170,16 @@ pub struct ZoneReport {
     pub rows: usize,
     /// Their area, m².
     pub area_m2: f64,
+    /// Where rows are zones: whether all rows of this one are there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub complete: Option<bool>,
 }
 
 /// Zones up to which their factors are put into the report.
 const FEW_ZONES: usize = 64;
 
 impl FactorsReport {
-    pub(super) fn new(job: &FactorsJob, facets: &Facets, asked: &Asked) -> FactorsReport {
+    pub(super) fn new(job: &FactorsJob, facets: &Facets, asked: &Asked<'_>) -> FactorsReport {
         let obstructions = facets
             .parts
             .iter()
@@ -149,7 +193,7 @@ impl FactorsReport {
             obstructions,
             area_m2: facets.areas().iter().sum(),
             error_asked: asked.error,
-            single: job.precision == Precision::Single,
+            single: job.precision == Some(Precision::Single),
             ..FactorsReport::default()
         }
     }
@@ -177,22 +221,38 @@ impl FactorsReport {
     }
 
     fn measure(&mut self, matrix: &ExchangeMatrix, keep: &[bool]) {
-        self.row_sum = matrix.row_sums();
-        (self.entries, self.closure_mean, self.closure_worst) = (0, 0.0, 0.0);
-        (self.row_sum_largest, self.reciprocity_worst) = (0.0, 0.0);
         let written = |f: f64| if self.single { f as f32 as f64 } else { f };
-        let mut counted = 0;
+        let (mut entries, mut reciprocity) = (0, 0.0_f64);
+        let mut sums = matrix.row_sums();
+        // What has no area has no sum to be off.
+        let mut areas = matrix.areas.clone();
         for i in 0..keep.len() {
             if !keep[i] {
-                self.row_sum[i] = 0.0;
+                (sums[i], areas[i]) = (0.0, 0.0);
                 continue;
             }
             let run = matrix.offsets[i]..matrix.offsets[i + 1];
-            self.entries += run.len() as u64;
-            let (a, sum) = (matrix.areas[i], self.row_sum[i]);
+            entries += run.len() as u64;
+            let a = matrix.areas[i];
             if a <= 0.0 {
                 continue;
             }
+            for k in run {
+                let (j, g) = (matrix.columns[k] as usize, matrix.exchange[k] as f64);
+                let b = matrix.areas[j];
+                let (there, back) = (a * written(g / a), b * written(g / b));
+                reciprocity = reciprocity.max((there - back).abs() / there.max(back));
+            }
+        }
+        (self.entries, self.reciprocity_worst) = (Some(entries), Some(reciprocity));
+        self.closure(sums, &areas);
+    }
+
+    /// What rows sum to; those without area do not count.
+    pub(super) fn closure(&mut self, sums: Vec<f64>, areas: &[f64]) {
+        (self.closure_mean, self.closure_worst, self.row_sum_largest) = (0.0, 0.0, 0.0);
+        let mut counted = 0;
+        for (i, &sum) in sums.iter().enumerate().filter(|s| areas[s.0] > 0.0) {
             let gap = (1.0 - sum).abs();
             self.closure_mean += gap;
             counted += 1;
@@ -200,15 +260,9 @@ impl FactorsReport {
                 (self.closure_worst, self.closure_worst_row) = (gap, i);
             }
             self.row_sum_largest = self.row_sum_largest.max(sum);
-            for k in run {
-                let (j, g) = (matrix.columns[k] as usize, matrix.exchange[k] as f64);
-                let b = matrix.areas[j];
-                let (there, back) = (a * written(g / a), b * written(g / b));
-                let defect = (there - back).abs() / there.max(back);
-                self.reciprocity_worst = self.reciprocity_worst.max(defect);
-            }
         }
         self.closure_mean /= f64::from(counted.max(1));
+        self.row_sum = sums;
     }
 
     pub(super) fn repaired(&mut self, repair: &Repair) {
@@ -246,24 +300,33 @@ impl FactorsReport {
         }
     }
 
-    pub(super) fn zones(&mut self, zones: &Zones, areas: &[f64], table: &Table, from: bool) {
+    /// Factors to zones; from zones as well where `complete` says which have all their rows.
+    pub(super) fn zones(
+        &mut self,
+        zones: &Zones,
+        areas: &[f64],
+        table: &Table,
+        complete: Option<&[bool]>,
+    ) {
         let zone_areas = zones.areas(areas);
         let list = zones.names.iter().enumerate().map(|(k, name)| ZoneReport {
             name: name.clone(),
             rows: zones.of.iter().filter(|&&z| z as usize == k).count(),
             area_m2: zone_areas[k],
+            complete: complete.map(|c| c[k]),
         });
         self.zones = Some(list.collect());
-        if from {
+        if let Some(complete) = complete {
             self.row_sum.clear();
             if zones.names.len() <= FEW_ZONES {
-                self.zone_factors = Some(dense(table));
+                let rows = dense(table).into_iter().zip(complete);
+                self.zone_factors = Some(rows.map(|(row, &all)| all.then_some(row)).collect());
             }
         }
     }
 
     pub(super) fn points(&mut self, table: &Table, zones: Option<&Zones>, areas: &[f64]) {
-        self.entries = table.entries();
+        self.entries = Some(table.entries());
         let mut entries = Vec::new();
         for row in 0..table.shape()[0] {
             table.row(row, &mut entries);
@@ -271,7 +334,7 @@ impl FactorsReport {
         }
         self.row_sum_largest = self.row_sum.iter().copied().fold(0.0, f64::max);
         if let Some(zones) = zones {
-            self.zones(zones, areas, table, false);
+            self.zones(zones, areas, table, None);
         }
     }
 
@@ -295,7 +358,30 @@ impl FactorsReport {
             "facets",
             format!("{} ({} blockers after merging)", self.rows, self.blockers),
         );
-        line("factors above zero", self.entries.to_string());
+        if let Some(entries) = self.entries {
+            line("factors above zero", entries.to_string());
+        }
+        if let Some(c) = &self.compressed {
+            line(
+                "compressed",
+                format!(
+                    "{} blocks for {} pairs, {} single entries, {} MB",
+                    c.blocks,
+                    c.block_pairs,
+                    c.entries,
+                    c.memory_bytes / 1_000_000
+                ),
+            );
+            for product in &c.product_errors {
+                line(
+                    "error of a product",
+                    format!(
+                        "{:.1e}, worst of {} rows: {}",
+                        product.worst, product.rows, product.source
+                    ),
+                );
+            }
+        }
         if !self.row_area_m2.is_empty() || self.zone_factors.is_some() {
             line(
                 "closure |1 - sum|",
@@ -304,10 +390,9 @@ impl FactorsReport {
                     self.closure_mean, self.closure_worst, self.closure_worst_row
                 ),
             );
-            line(
-                "reciprocity defect",
-                format!("{:.1e}", self.reciprocity_worst),
-            );
+            if let Some(defect) = self.reciprocity_worst {
+                line("reciprocity defect", format!("{defect:.1e}"));
+            }
             line(
                 "error",
                 format!(
@@ -349,8 +434,14 @@ impl FactorsReport {
             let heads: String = zones.iter().map(|z| format!("{:>13}", name(z))).collect();
             out.push_str(&format!("\n{:>14}{heads}\n", "from \\ to"));
             for (zone, row) in zones.iter().zip(factors) {
-                let cells: String = row.iter().map(|f| format!("{f:>13.7}")).collect();
+                let cells = match row {
+                    Some(row) => row.iter().map(|f| format!("{f:>13.7}")).collect(),
+                    None => format!("{:>13}", "-").repeat(zones.len()),
+                };
                 out.push_str(&format!("{:>14}{cells}\n", name(zone)));
+            }
+            if factors.iter().any(Option::is_none) {
+                out.push_str("             -  not all rows of this zone were computed\n");
             }
             out.push('\n');
         }

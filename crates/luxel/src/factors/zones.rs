@@ -101,6 +101,14 @@ impl Zones {
         let objects: Vec<bool> = facets.objects.iter().map(|o| o == member).collect();
         let materials: Vec<bool> = facets.materials.iter().map(|m| m == member).collect();
         let holds = |list: &[bool], k: u32| list.get(k as usize).copied().unwrap_or(false);
+        let is_name = objects.iter().chain(&materials).any(|&is| is)
+            || facets.rows.iter().any(|f| f.name == member);
+        let count = facets.rows.len();
+        if let Some(run) = run.as_ref().filter(|_| !is_name)
+            && (run.start as usize >= count || (run.end as usize > count && run.end != u32::MAX))
+        {
+            return Err(format!("expected rows below {count}, found '{member}'"));
+        }
         for row in 0..facets.rows.len() {
             let facet = &facets.rows[row];
             let named = (!facet.name.is_empty() && facet.name == member)
@@ -136,6 +144,15 @@ impl Zones {
                 some.join(", ")
             }
         ))
+    }
+
+    /// Of each zone, whether `keep` has all its rows.
+    pub fn complete(&self, keep: &[bool]) -> Vec<bool> {
+        let mut complete = vec![true; self.names.len()];
+        for (&zone, &kept) in self.of.iter().zip(keep) {
+            complete[zone as usize] &= kept;
+        }
+        complete
     }
 
     /// Area of each zone, m².
@@ -223,11 +240,10 @@ impl Table {
         }
         let zone_areas = zones.areas(areas);
         let mut sums = vec![vec![0.0; n]; n];
-        let mut complete = vec![true; n];
+        let complete = zones.complete(keep);
         for row in 0..rows {
             let zone = zones.of[row] as usize;
-            if !keep[row] {
-                complete[zone] = false;
+            if !complete[zone] {
                 continue;
             }
             factors.row(row, &mut entries);
@@ -309,9 +325,18 @@ mod tests {
             (rest.names, rest.of),
             (vec!["x".into(), "rest".into()], vec![0, 0, 1, 0])
         );
-        for bad in ["x", "=a", "x=", "x=nobody", "x=9..4"] {
+        for bad in [
+            "x", "=a", "x=", "x=nobody", "x=9..4", "x=1..5", "x=4", "x=4..",
+        ] {
             assert!(zones(wish(None, &[bad])).is_err(), "{bad}");
         }
+        let beyond = zones(wish(None, &["x=1..900"])).unwrap_err();
+        assert!(
+            beyond.ends_with("expected rows below 4, found '1..900'"),
+            "{beyond}"
+        );
+        let open = zones(wish(None, &["x=2.."])).unwrap().unwrap();
+        assert_eq!(open.of, [1, 1, 0, 0]);
         let twice = zones(wish(None, &["x=a", "y=shell"])).unwrap_err();
         assert!(twice.contains("row 0 in 'x'"), "{twice}");
     }
@@ -345,6 +370,12 @@ mod tests {
         both.row(0, &mut row);
         // (0.6 + 3 x 0.2) / 4 and (0.4 + 3 x 0.1) / 4.
         assert!((row[0].1 - 0.3).abs() < 1e-15 && (row[1].1 - 0.175).abs() < 1e-15);
+        assert_eq!(zones.complete(&[true, false, true]), [false, true]);
+        let some = Table::of_zones(&factors, &areas, &zones, true, &[true, false, true]);
+        some.row(0, &mut row);
+        assert!(row.is_empty());
+        some.row(1, &mut row);
+        assert!(row.len() == 1 && (row[0].1 - 0.35).abs() < 1e-15);
         let single = Table::of_zones(&factors, &areas, &zones, false, &[true, false, true]);
         single.row(1, &mut row);
         assert!(row.is_empty());

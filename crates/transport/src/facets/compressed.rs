@@ -19,7 +19,8 @@
 use super::parts::{Cluster, Part, Parts};
 use super::walk::{Ground, Walk, box_heights};
 use super::{Counts, FacetFactors, Triplet, free};
-use luxel_core::DVec3;
+use luxel_core::compressed::TILE_SIDE as SIDE;
+use luxel_core::{CompressedPiece, DVec3, EntryTile, LowRankBlock};
 use rayon::prelude::*;
 use std::mem::{size_of, size_of_val, take};
 use std::ops::Range;
@@ -30,8 +31,6 @@ const APART: f64 = 0.6;
 const WORTH: f64 = 0.75;
 /// Rows of a block that must be met before it is believed.
 const CHECKS: usize = 3;
-/// Parts along the side of a tile.
-const SIDE: usize = 8;
 /// Stretches of the blocks that are summed apart. A fixed number: the order of sums, and with
 /// it the result, does not depend on the threads.
 const GROUPS: usize = 32;
@@ -51,14 +50,16 @@ pub struct CompressedMatrix {
     pub counts: Counts,
     /// Row of each part, in the order of the tree.
     rows: Vec<u32>,
-    pieces: Vec<Piece>,
+    pieces: Vec<CompressedPiece>,
 }
 
 /// All pairs of one stretch of the work, compressed.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CompressedBatch {
-    pieces: Vec<Piece>,
-    counts: Counts,
+    /// Of each pair of clusters, in a fixed order.
+    pub pieces: Vec<CompressedPiece>,
+    /// How pairs were settled.
+    pub counts: Counts,
 }
 
 /// Where the bytes of a matrix are.
@@ -88,34 +89,6 @@ pub struct ApplyError {
     pub rms: f64,
 }
 
-/// What one pair of the clusters that make up everything holds.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Piece {
-    blocks: Vec<Block>,
-    /// Of each block for each of its ranks: a column of U, a column of V.
-    factors: Vec<f32>,
-    tiles: Vec<Tile>,
-    /// Entries of the tiles, in the order of bits.
-    entries: Vec<f32>,
-}
-
-/// A block of low rank over two runs of parts.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Block {
-    first: [u32; 2],
-    count: [u32; 2],
-    rank: u32,
-}
-
-/// Entries of parts from `SIDE * row` and `SIDE * column` on; bit `SIDE * i + j` is set where
-/// there is one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Tile {
-    row: u32,
-    column: u32,
-    bits: u64,
-}
-
 impl FacetFactors {
     /// What [`FacetFactors::compute`] gives, compressed; uses all threads.
     ///
@@ -123,7 +96,7 @@ impl FacetFactors {
     pub fn compress(&self, batch: usize) -> CompressedBatch {
         debug_assert!(self.ground.wanted.iter().all(|&w| w), "all rows");
         let own = self.blocks[batch];
-        let results: Vec<(Piece, Counts)> = self.blocks[batch..]
+        let results: Vec<(CompressedPiece, Counts)> = self.blocks[batch..]
             .par_iter()
             .map_init(Walk::packing, |walk, &other| {
                 walk.pair(&self.ground, own, other);
@@ -138,6 +111,16 @@ impl FacetFactors {
             batch.counts.add(&counts);
         }
         batch
+    }
+
+    /// Rows of the matrix.
+    pub fn rows(&self) -> usize {
+        self.areas.len()
+    }
+
+    /// Convex parts that send and receive: what blocks and tiles count.
+    pub fn parts(&self) -> usize {
+        self.ground.parts.list.len()
     }
 
     /// The matrix of all batches, in their order.
@@ -207,7 +190,7 @@ impl CompressedMatrix {
                 let mut to = vec![0.0; room];
                 let mut products = Vec::new();
                 for piece in &self.pieces[group] {
-                    piece.apply(&from, &mut to, &mut products);
+                    multiply(piece, &from, &mut to, &mut products);
                 }
                 to
             })
@@ -230,30 +213,60 @@ impl CompressedMatrix {
     /// Error of the product with `x`, on about `rows` rows spread evenly over all, against
     /// [`FacetFactors::exact_row`]. `work` is what the matrix was computed from.
     pub fn measured_error(&self, work: &FacetFactors, x: &[f64], rows: usize) -> ApplyError {
+        self.measured_errors(work, &[x], rows)[0]
+    }
+
+    /// The same for several `x`, each row computed once for all.
+    pub fn measured_errors(
+        &self,
+        work: &FacetFactors,
+        sources: &[&[f64]],
+        rows: usize,
+    ) -> Vec<ApplyError> {
         let n = self.areas.len();
-        let mut y = vec![0.0; n];
-        self.apply(x, &mut y);
+        let products: Vec<Vec<f64>> = sources
+            .iter()
+            .map(|x| {
+                let mut y = vec![0.0; n];
+                self.apply(x, &mut y);
+                y
+            })
+            .collect();
         let step = n.div_ceil(rows.max(1)).max(1);
-        let (mut count, mut max, mut errors, mut values) = (0, 0.0_f64, 0.0, 0.0);
+        // Of each source: largest error, sum of squared errors, of squared values.
+        let mut sums = vec![(0.0_f64, 0.0, 0.0); sources.len()];
+        let mut count = 0;
         for i in (step / 2..n).step_by(step).filter(|&i| self.areas[i] > 0.0) {
-            let exact: f64 = work
-                .exact_row(i as u32)
-                .iter()
-                .zip(x)
-                .map(|(g, x)| g * x)
-                .sum();
-            let error = (y[i] - exact) / self.areas[i];
-            max = max.max(error.abs());
-            errors += error * error;
-            values += (exact / self.areas[i]).powi(2);
+            let row = work.exact_row(i as u32);
+            for ((x, y), (max, errors, values)) in sources.iter().zip(&products).zip(&mut sums) {
+                let exact: f64 = row.iter().zip(*x).map(|(g, x)| g * x).sum();
+                let error = (y[i] - exact) / self.areas[i];
+                *max = max.max(error.abs());
+                *errors += error * error;
+                *values += (exact / self.areas[i]).powi(2);
+            }
             count += 1;
         }
-        let scale = f64::max(values, f64::MIN_POSITIVE).sqrt();
-        ApplyError {
-            rows: count,
-            max: max / (scale / (count.max(1) as f64).sqrt()),
-            rms: errors.sqrt() / scale,
-        }
+        sums.into_iter()
+            .map(|(max, errors, values)| {
+                let scale = f64::max(values, f64::MIN_POSITIVE).sqrt();
+                ApplyError {
+                    rows: count,
+                    max: max / (scale / (count.max(1) as f64).sqrt()),
+                    rms: errors.sqrt() / scale,
+                }
+            })
+            .collect()
+    }
+
+    /// Row of each part, in the order that blocks and tiles count in.
+    pub fn part_rows(&self) -> &[u32] {
+        &self.rows
+    }
+
+    /// All that is stored, in the order of the batches.
+    pub fn pieces(&self) -> &[CompressedPiece] {
+        &self.pieces
     }
 
     /// Memory that the matrix takes.
@@ -263,7 +276,7 @@ impl CompressedMatrix {
             + self
                 .pieces
                 .iter()
-                .map(|p| size_of::<Piece>() + p.bytes())
+                .map(|p| size_of::<CompressedPiece>() + p.bytes())
                 .sum::<usize>()
     }
 
@@ -284,7 +297,7 @@ impl CompressedMatrix {
 
     /// Runs of pieces with about as much in each.
     fn groups(&self) -> Vec<Range<usize>> {
-        let all: usize = self.pieces.iter().map(Piece::bytes).sum();
+        let all: usize = self.pieces.iter().map(CompressedPiece::bytes).sum();
         let mut groups = Vec::with_capacity(GROUPS);
         let (mut start, mut before) = (0, 0);
         for (k, piece) in self.pieces.iter().enumerate() {
@@ -298,67 +311,56 @@ impl CompressedMatrix {
     }
 }
 
-impl Piece {
-    fn bytes(&self) -> usize {
-        size_of_val(&self.blocks[..])
-            + size_of_val(&self.factors[..])
-            + size_of_val(&self.tiles[..])
-            + size_of_val(&self.entries[..])
-    }
-
-    /// Adds the product, both directions, from and to parts.
-    fn apply(&self, x: &[f64], y: &mut [f64], products: &mut Vec<[f64; 2]>) {
-        let mut rest = &self.factors[..];
-        for block in &self.blocks {
-            let [a, b] = block.runs();
-            let (m, n, rank) = (a.len(), b.len(), block.rank as usize);
-            let (factors, others) = rest.split_at(rank * (m + n));
-            rest = others;
-            products.clear();
-            products.extend(factors.chunks_exact(m + n).map(|uv| {
-                let (u, v) = uv.split_at(m);
-                [dot(u, &x[a.clone()]), dot(v, &x[b.clone()])]
-            }));
-            for (uv, &[of_u, of_v]) in factors.chunks_exact(m + n).zip(&*products) {
-                let (u, v) = uv.split_at(m);
-                add(&mut y[a.clone()], of_v, u);
-                add(&mut y[b.clone()], of_u, v);
-            }
+/// Adds the product, both directions, from and to parts.
+fn multiply(piece: &CompressedPiece, x: &[f64], y: &mut [f64], products: &mut Vec<[f64; 2]>) {
+    let mut rest = &piece.factors[..];
+    for block in &piece.blocks {
+        let [a, b] = runs(block);
+        let (m, n, rank) = (a.len(), b.len(), block.rank as usize);
+        let (factors, others) = rest.split_at(rank * (m + n));
+        rest = others;
+        products.clear();
+        products.extend(factors.chunks_exact(m + n).map(|uv| {
+            let (u, v) = uv.split_at(m);
+            [dot(u, &x[a.clone()]), dot(v, &x[b.clone()])]
+        }));
+        for (uv, &[of_u, of_v]) in factors.chunks_exact(m + n).zip(&*products) {
+            let (u, v) = uv.split_at(m);
+            add(&mut y[a.clone()], of_v, u);
+            add(&mut y[b.clone()], of_u, v);
         }
-        let mut next = 0;
-        for tile in &self.tiles {
-            let (i, j) = (SIDE * tile.row as usize, SIDE * tile.column as usize);
-            let xs: &[f64; SIDE] = x[j..j + SIDE].try_into().expect("a side");
-            for k in 0..SIDE {
-                let mut bits = (tile.bits >> (SIDE * k)) as u8;
-                let count = bits.count_ones() as usize;
-                let entries = &self.entries[next..next + count];
-                next += count;
-                let (here, mut sum) = (x[i + k], 0.0);
-                if count == SIDE {
-                    let ys = &mut y[j..j + SIDE];
-                    for l in 0..SIDE {
-                        sum += entries[l] as f64 * xs[l];
-                        ys[l] += entries[l] as f64 * here;
-                    }
-                } else {
-                    for &entry in entries {
-                        let l = bits.trailing_zeros() as usize;
-                        bits &= bits - 1;
-                        sum += entry as f64 * xs[l];
-                        y[j + l] += entry as f64 * here;
-                    }
+    }
+    let mut next = 0;
+    for tile in &piece.tiles {
+        let (i, j) = (SIDE * tile.row as usize, SIDE * tile.column as usize);
+        let xs: &[f64; SIDE] = x[j..j + SIDE].try_into().expect("a side");
+        for k in 0..SIDE {
+            let mut bits = (tile.bits >> (SIDE * k)) as u8;
+            let count = bits.count_ones() as usize;
+            let entries = &piece.entries[next..next + count];
+            next += count;
+            let (here, mut sum) = (x[i + k], 0.0);
+            if count == SIDE {
+                let ys = &mut y[j..j + SIDE];
+                for l in 0..SIDE {
+                    sum += entries[l] as f64 * xs[l];
+                    ys[l] += entries[l] as f64 * here;
                 }
-                y[i + k] += sum;
+            } else {
+                for &entry in entries {
+                    let l = bits.trailing_zeros() as usize;
+                    bits &= bits - 1;
+                    sum += entry as f64 * xs[l];
+                    y[j + l] += entry as f64 * here;
+                }
             }
+            y[i + k] += sum;
         }
     }
 }
 
-impl Block {
-    fn runs(&self) -> [Range<usize>; 2] {
-        [0, 1].map(|k| self.first[k] as usize..(self.first[k] + self.count[k]) as usize)
-    }
+fn runs(block: &LowRankBlock) -> [Range<usize>; 2] {
+    [0, 1].map(|k| block.first[k] as usize..(block.first[k] + block.count[k]) as usize)
 }
 
 fn dot(u: &[f32], x: &[f64]) -> f64 {
@@ -386,7 +388,7 @@ fn add(y: &mut [f64], factor: f64, u: &[f32]) {
 /// Puts away what one walk finds: free pairs of clusters as blocks, the rest as tiles.
 #[derive(Default)]
 pub(crate) struct Packer {
-    piece: Piece,
+    piece: CompressedPiece,
     cross: Cross,
 }
 
@@ -450,7 +452,7 @@ impl Packer {
     }
 
     /// What was put away; `found` is emptied.
-    fn finish(&mut self, found: &mut Vec<Triplet>) -> Piece {
+    fn finish(&mut self, found: &mut Vec<Triplet>) -> CompressedPiece {
         let side = SIDE as u64;
         let place = |t: &Triplet| {
             let (i, j) = (t.row as u64, t.column as u64);
@@ -463,11 +465,13 @@ impl Packer {
         piece.blocks.shrink_to_fit();
         piece.factors.shrink_to_fit();
         piece.tiles.reserve_exact(found.chunk_by(same).count());
-        piece.tiles.extend(found.chunk_by(same).map(|run| Tile {
-            row: run[0].row / SIDE as u32,
-            column: run[0].column / SIDE as u32,
-            bits: run.iter().map(|t| 1_u64 << (place(t) & 63)).sum(),
-        }));
+        piece
+            .tiles
+            .extend(found.chunk_by(same).map(|run| EntryTile {
+                row: run[0].row / SIDE as u32,
+                column: run[0].column / SIDE as u32,
+                bits: run.iter().map(|t| 1_u64 << (place(t) & 63)).sum(),
+            }));
         piece.entries = found.iter().map(|t| t.exchange).collect();
         found.clear();
         piece
@@ -586,7 +590,7 @@ impl Cross {
     }
 
     /// Stores the block that was found.
-    fn put(&self, asked: &Asked<'_>, rank: usize, piece: &mut Piece) {
+    fn put(&self, asked: &Asked<'_>, rank: usize, piece: &mut CompressedPiece) {
         if rank == 0 {
             return;
         }
@@ -603,7 +607,7 @@ impl Cross {
                 .factors
                 .extend(v.iter().zip(b.clone()).map(|(v, b)| (v * b) as f32));
         }
-        piece.blocks.push(Block {
+        piece.blocks.push(LowRankBlock {
             first: [0, 1].map(|k| asked.runs[k].start as u32),
             count: [m as u32, n as u32],
             rank: rank as u32,
