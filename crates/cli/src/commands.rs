@@ -1,6 +1,8 @@
 //! The commands: from arguments to the library and back to the terminal.
 
-use crate::arguments::{Arguments, Command, Factors, Inspect, Light, Probe, Verify, settings};
+use crate::arguments::{
+    Arguments, Command, Compare, Factors, Inspect, Light, Probe, Verify, settings,
+};
 use crate::terminal;
 use luxel::factors::FactorPoint;
 use luxel::{Control, DVec3, LightJob, Session, Status, points};
@@ -42,6 +44,7 @@ pub fn run(arguments: Arguments) -> Result<Outcome, String> {
         Command::Probe(probe) => self::probe(&probe),
         Command::Inspect(inspect) => self::inspect(&inspect),
         Command::Factors(factors) => self::factors(&factors),
+        Command::Compare(compare) => self::compare(&compare),
         Command::Verify(verify) => self::verify(&verify),
     }
 }
@@ -116,6 +119,33 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
         print(&outcome.table)?;
     }
     Ok(Outcome::of(outcome.reached))
+}
+
+fn compare(arguments: &Compare) -> Result<Outcome, String> {
+    threads(arguments.common.run.threads)?;
+    let stop = stop_on_interrupt();
+    let mut progress = terminal::Progress::new(arguments.common.run.quiet);
+    let compared = luxel::compare(&arguments.job(), &mut |status| {
+        watch(&mut progress, &stop, status)
+    });
+    progress.end();
+    let comparison = match compared {
+        Ok(comparison) => comparison,
+        Err(error) => return ended(error),
+    };
+    if !arguments.common.run.quiet {
+        for warning in comparison.warnings.iter() {
+            terminal::say(&format!("warning: {warning}"));
+        }
+    }
+    if arguments.common.run.json {
+        print(&format!("{:#}\n", comparison.to_json()))?;
+    } else if !arguments.common.run.quiet {
+        let files = comparison.files.iter().map(|f| f.display().to_string());
+        let written = files.collect::<Vec<_>>().join(", ");
+        print(&format!("{}\nwritten: {written}\n", comparison.table()))?;
+    }
+    Ok(Outcome::Done)
 }
 
 fn probe(arguments: &Probe) -> Result<Outcome, String> {

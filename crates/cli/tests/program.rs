@@ -225,3 +225,25 @@ fn a_cut_file_ends_in_one_line() {
         );
     }
 }
+
+#[test]
+fn compare_prints_a_table_and_writes_a_plot() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scenes().join("cornell.glb");
+    let run = |more: &[&str]| {
+        let mut arguments = vec!["compare", scene.to_str().unwrap(), "--elements", "200"];
+        arguments.extend(["--error", "2%", "-o", folder.path().to_str().unwrap()]);
+        arguments.extend(more);
+        luxel(&arguments)
+    };
+    let done = run(&["--solver", "jacobi,southwell"]);
+    assert_eq!(done.status.code(), Some(0));
+    let table = String::from_utf8(done.stdout).unwrap();
+    assert!(table.contains("southwell") && !table.contains("stochastic-jacobi"));
+    assert!(folder.path().join("compare.svg").exists());
+    for wrong in [&["--solver", "jacobi,magic"][..], &["--mesh", "adaptive"]] {
+        let refused = run(wrong);
+        assert_eq!(refused.status.code(), Some(2));
+        assert!(refused.stdout.is_empty());
+    }
+}

@@ -3,6 +3,7 @@
 //! The facade: [`Session`] takes a scene from file to solution, and [`light()`] does the whole
 //! main job with its files. The crates below are the pipeline; see ARCHITECTURE.md.
 
+pub mod compare;
 mod energy;
 pub mod error;
 pub mod factors;
@@ -21,6 +22,7 @@ pub mod verify;
 pub mod watch;
 mod work;
 
+pub use compare::{CompareJob, Comparison, compare};
 pub use error::Error;
 pub use factors::{FactorsJob, FactorsOutcome, factors};
 pub use inspect::{Inspection, inspect};

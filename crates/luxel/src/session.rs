@@ -59,6 +59,8 @@ pub struct Session {
     lights: DirectLights,
     matter: Matter,
     factors: Option<Matrix>,
+    /// Found by exact shadows, not by sampling.
+    factors_are_exact: bool,
     solver: Box<dyn Solver>,
     progress: Progress,
     refinements: u32,
@@ -181,6 +183,7 @@ impl Session {
             front,
             lights,
             factors: None,
+            factors_are_exact: false,
             solver: settings.solver.build(SolverSettings::default()),
             progress: Progress::default(),
             refinements: 0,
@@ -217,6 +220,12 @@ impl Session {
         }
         self.matter = Matter::new(&self.scene, &self.front, &self.lights, &direct);
         self.clock.end(Stage::Direct);
+        self.factors = None;
+        self.take_factors(watch)
+    }
+
+    /// Form factors of the front, if the solver needs some and there are none.
+    fn take_factors(&mut self, watch: &mut Watch<'_>) -> Result<(), Error> {
         if !self.settings.solver.needs_lines() {
             // Most pairs of a room see each other: 16 bytes each, and LU holds three bands of f64.
             let pairs = (self.front.len() as u64).pow(2);
@@ -234,6 +243,9 @@ impl Session {
                     self.front.len(),
                     needed / 1_000_000
                 )));
+            }
+            if self.factors.is_some() {
+                return Ok(());
             }
             let settings = MatrixSettings {
                 seed: self.settings.seed,
@@ -255,14 +267,37 @@ impl Session {
                     watch(&status) == Control::Go
                 },
             );
-            self.factors = Some(match exact {
-                Exact::Done(matrix) => matrix,
+            let (matrix, are_exact) = match exact {
+                Exact::Done(matrix) => (matrix, true),
                 Exact::Stopped => return Err(Error::Stopped),
-                Exact::Refused => Matrix::assemble(scene, front, caster, &settings),
-            });
+                Exact::Refused => (Matrix::assemble(scene, front, caster, &settings), false),
+            };
+            self.factors = Some(matrix);
+            self.factors_are_exact = are_exact;
             self.clock.end(Stage::Factors);
         }
         Ok(())
+    }
+
+    /// Begins anew with another solver and seed on the same front: nothing but form factors, which
+    /// are kept, is left of the work so far.
+    pub fn begin_again(
+        &mut self,
+        solver: luxel_solve::Kind,
+        seed: u32,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Error> {
+        self.settings.solver = solver;
+        self.settings.seed = seed;
+        self.solver = solver.build(SolverSettings::default());
+        self.progress = Progress::default();
+        self.take_factors(watch)
+    }
+
+    /// Whether there are form factors that exact shadows were used for; `false` also when there
+    /// are none.
+    pub fn has_exact_factors(&self) -> bool {
+        self.factors.is_some() && self.factors_are_exact
     }
 
     /// Sets the relative error of element exitance at which the solver stops; that of the settings
@@ -313,7 +348,7 @@ impl Session {
         act: impl FnOnce(&mut dyn Solver, &luxel_solve::Problem<'_>) -> T,
     ) -> T {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.factors, &lines);
+        let transport = transport(&self.settings, &self.factors, &lines);
         let problem = self.matter.problem(transport, self.settings.seed);
         act(self.solver.as_mut(), &problem)
     }
@@ -321,7 +356,7 @@ impl Session {
     /// The solution as it stands. Never holds the ambient term.
     pub fn solution(&self) -> Solution {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.factors, &lines);
+        let transport = transport(&self.settings, &self.factors, &lines);
         self.solver
             .solution(&self.matter.problem(transport, self.settings.seed))
     }
@@ -448,7 +483,7 @@ impl Session {
     /// Energy balance of the solution, lumens.
     pub fn balance(&self, solution: &Solution) -> luxel_solve::balance::EnergyBalance {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.factors, &lines);
+        let transport = transport(&self.settings, &self.factors, &lines);
         luxel_solve::balance::measure(
             &self.matter.problem(transport, self.settings.seed),
             solution,
@@ -537,11 +572,15 @@ impl Iterator for Session {
     }
 }
 
-/// Stored factors where there are some, else lines.
-fn transport<'a>(factors: &'a Option<Matrix>, lines: &'a FrontLines<'a>) -> Transport<'a> {
+/// Stored factors where the solver needs them, else lines.
+fn transport<'a>(
+    settings: &Settings,
+    factors: &'a Option<Matrix>,
+    lines: &'a FrontLines<'a>,
+) -> Transport<'a> {
     match factors {
-        Some(matrix) => Transport::Factors(matrix),
-        None => Transport::Lines(lines),
+        Some(matrix) if !settings.solver.needs_lines() => Transport::Factors(matrix),
+        _ => Transport::Lines(lines),
     }
 }
 
