@@ -165,10 +165,12 @@ impl Ring {
     #[inline]
     pub(crate) fn cut(&mut self, line: Line) {
         let n = self.len;
-        // Most lines leave all or nothing.
+        let mut heights = [0.0; MOST];
+        // Corners below, bit by bit; most lines leave all or nothing.
         let mut below = 0_u32;
         for k in 0..n {
-            below |= u32::from(line.at(self.corners[k]) < 0.0) << k;
+            heights[k] = line.at(self.corners[k]);
+            below |= u32::from(heights[k] < 0.0) << k;
         }
         if below == 0 {
             return;
@@ -177,20 +179,39 @@ impl Ring {
             self.len = 0;
             return;
         }
-        let mut whole = [DVec2::ZERO; MOST];
-        whole[..n].copy_from_slice(&self.corners[..n]);
-        self.len = 0;
-        let mut p = whole[n - 1];
-        let mut hp = line.at(p);
-        for &q in &whole[..n] {
-            let hq = line.at(q);
-            if (hp > 0.0 && hq < 0.0) || (hp < 0.0 && hq > 0.0) {
-                self.push(p + (q - p) * (hp / (hp - hq)));
-            }
-            if hq >= 0.0 {
-                self.push(q);
-            }
-            (p, hp) = (q, hq);
+        self.take_away(below, &heights);
+    }
+
+    /// Takes away the corners whose bits are set, some but not all: one run around the ring.
+    fn take_away(&mut self, below: u32, heights: &[f64; MOST]) {
+        let n = self.len;
+        // Where the edge from the corner before crosses zero; none where it starts or ends there.
+        let crossing = |from: usize, to: usize| {
+            let (h, g) = (heights[from], heights[to]);
+            let (p, q) = (self.corners[from], self.corners[to]);
+            (h != 0.0 && g != 0.0).then(|| p + (q - p) * (h / (h - g)))
+        };
+        let lies_below = |k: usize| below >> k & 1 == 1;
+        let (kept, new) = if lies_below(0) || lies_below(n - 1) {
+            let first = (!below).trailing_zeros() as usize;
+            let last = (0..n).rev().find(|&k| !lies_below(k)).unwrap_or(first);
+            let new = [
+                crossing(last, (last + 1) % n),
+                crossing((first + n - 1) % n, first),
+            ];
+            self.corners.copy_within(first..=last, 0);
+            (last + 1 - first, new)
+        } else {
+            let first = below.trailing_zeros() as usize;
+            let end = (u32::BITS - below.leading_zeros()) as usize;
+            let new = [crossing(first - 1, first), crossing(end - 1, end)];
+            // What follows the gap goes before the corners that it starts with.
+            self.corners[..n].rotate_left(end);
+            (n - (end - first), new)
+        };
+        self.len = kept;
+        for corner in new.into_iter().flatten() {
+            self.push(corner);
         }
         if self.len < 3 {
             self.len = 0;

@@ -18,9 +18,9 @@
 //! Sources: exact shadows by polygon clipping [Nishita85]; critical lines of area light
 //! [Lischinski92] (vertex-edge events; those of three edges are left to the error estimate).
 
-use super::blockers::{Blocker, Plane};
+use super::blockers::{Blocker, Edge, Plane};
 use super::ring::{Chart, Line, Ring};
-use super::shaft::kept_apart;
+use super::shaft::hides;
 use crate::lambert::above_horizon;
 use crate::polygon_pair::{ball, exchange_area};
 use luxel_core::glam::DVec2;
@@ -41,13 +41,39 @@ const MOST_SHADOWS: usize = 120_000;
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
 struct Outlines {
-    /// Edges, clockwise around the line of sight from the sender.
-    edges: Vec<(DVec3, DVec3)>,
+    edges: Vec<OutlineEdge>,
     /// Faces that look at the sender and do not have all of the receiver behind them, as planes
     /// with the hidden side in front.
     faces: Vec<Plane>,
-    /// Which faces of the blocker at hand look at the sender.
+    /// Edges that are in the outline from some points of the sender only.
+    turning: Vec<TurningEdge>,
+    /// Which faces of the turning blockers look at the sender, 0 where it depends on the point.
     looks: Vec<i8>,
+}
+
+impl Outlines {
+    fn clear(&mut self) {
+        self.edges.clear();
+        self.faces.clear();
+        self.turning.clear();
+        self.looks.clear();
+    }
+}
+
+/// An edge, clockwise around the line of sight from the sender.
+#[derive(Clone, Copy)]
+struct OutlineEdge {
+    a: DVec3,
+    b: DVec3,
+    /// Corners of the receiver whose plane with the edge crosses the sender, bit by bit.
+    crossing: u32,
+}
+
+/// An edge whose place in the outline depends on the point.
+#[derive(Clone, Copy)]
+struct TurningEdge {
+    edge: Edge,
+    crossing: u32,
 }
 
 /// A value in m² and how far off it may be.
@@ -109,17 +135,12 @@ pub(crate) fn between(
     };
     let (s, r) = (&sender.vertices, &receiver.vertices);
     let mut casts = Vec::with_capacity(blockers.len());
-    scratch.outlines.edges.clear();
-    scratch.outlines.faces.clear();
+    scratch.outlines.clear();
     for &blocker in blockers {
         match Cast::of(blocker, s, r, asked.near_m, &mut scratch.outlines) {
             Standing::Aside => {}
             Standing::Everywhere => return Exchange::default(),
-            Standing::Between(cast) => {
-                if cast.edges.len() < 2 || !kept_apart(blocker, s, r, asked.near_m) {
-                    casts.push(cast);
-                }
-            }
+            Standing::Between(cast) => casts.push(cast),
         }
     }
     if casts.is_empty() {
@@ -153,8 +174,7 @@ pub(crate) fn seen_from(
     let r = &to.vertices;
     let all = above_horizon(x, normal, r);
     let mut casts = Vec::with_capacity(blockers.len());
-    scratch.outlines.edges.clear();
-    scratch.outlines.faces.clear();
+    scratch.outlines.clear();
     for &blocker in blockers {
         match Cast::of(blocker, &[x], r, near_m, &mut scratch.outlines) {
             Standing::Aside => {}
@@ -196,8 +216,26 @@ struct Cast<'a> {
     edges: Range<usize>,
     /// Run of the outlines' faces.
     faces: Range<usize>,
-    /// All of it, if its outline is not the same from everywhere on the sender.
-    turning: Option<&'a Blocker>,
+    /// What is more, if its outline is not the same from everywhere on the sender.
+    turning: Option<Turning<'a>>,
+}
+
+struct Turning<'a> {
+    blocker: &'a Blocker,
+    /// Run of the outlines' turning edges.
+    edges: Range<usize>,
+    /// Run of the outlines' looks, one a face.
+    looks: Range<usize>,
+}
+
+/// Which way the volumes of an edge, the sender and the receiver are turned.
+enum Side {
+    /// The receiver is wholly where the edge hides nothing.
+    Clear,
+    /// Wholly where it leaves all to the other edges.
+    Dark,
+    /// On both sides.
+    Both,
 }
 
 enum Standing<'a> {
@@ -214,11 +252,41 @@ impl<'a> Cast<'a> {
         near_m: f64,
         outlines: &mut Outlines,
     ) -> Standing<'a> {
-        let start = (outlines.edges.len(), outlines.faces.len());
-        let looks = &mut outlines.looks;
+        let start = (
+            outlines.edges.len(),
+            outlines.faces.len(),
+            outlines.turning.len(),
+            outlines.looks.len(),
+        );
+        let cast = Cast::sort(blocker, s, r, near_m, outlines);
+        if !matches!(cast, Standing::Between(_)) {
+            outlines.edges.truncate(start.0);
+            outlines.faces.truncate(start.1);
+            outlines.turning.truncate(start.2);
+        }
+        if !matches!(&cast, Standing::Between(Cast { turning, .. }) if turning.is_some()) {
+            outlines.looks.truncate(start.3);
+        }
+        cast
+    }
+
+    /// Sorts faces and edges into those that matter, always or from some points, and others.
+    fn sort(
+        blocker: &'a Blocker,
+        s: &[DVec3],
+        r: &[DVec3],
+        near_m: f64,
+        outlines: &mut Outlines,
+    ) -> Standing<'a> {
+        let Outlines {
+            edges,
+            faces,
+            turning,
+            looks,
+        } = outlines;
+        let start = (edges.len(), faces.len(), turning.len(), looks.len());
         let single = !blocker.is_solid();
         // 1: looks at all of the sender; -1: at none of it; 0: at some.
-        looks.clear();
         let mut turns = false;
         let mut any = false;
         for face in &blocker.faces {
@@ -238,75 +306,77 @@ impl<'a> Cast<'a> {
                 let dark = if look > 0 { face.flipped() } else { *face };
                 let (low, high) = dark.heights(r);
                 if high <= near_m {
-                    outlines.edges.truncate(start.0);
-                    outlines.faces.truncate(start.1);
                     return Standing::Aside;
                 }
                 if low < -near_m {
-                    outlines.faces.push(dark);
+                    faces.push(dark);
                 }
             }
         }
-        let between = |outlines: &Outlines, turning| {
-            Standing::Between(Cast {
-                edges: start.0..outlines.edges.len(),
-                faces: start.1..outlines.faces.len(),
-                turning,
-            })
-        };
         if turns {
-            outlines.faces.truncate(start.1);
-            return between(outlines, Some(blocker));
-        }
-        if !any {
+            if hides(blocker, s, r, near_m) {
+                return Standing::Everywhere;
+            }
+        } else if !any {
             return Standing::Aside;
         }
+        let looks = &looks[start.3..];
         for edge in &blocker.edges {
-            let Some((a, b)) = edge.in_outline(looks) else {
+            let other = match edge.other {
+                // The back of a single polygon looks where its front does not.
+                Edge::NONE => -looks[edge.face as usize],
+                other => looks[other as usize],
+            };
+            let one = looks[edge.face as usize];
+            if one == other && one != 0 {
                 continue;
-            };
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for &x in s {
-                let inward = (b - x).cross(a - x);
-                for &q in r {
-                    let volume = inward.dot(q - x);
-                    low = if volume < low { volume } else { low };
-                    high = if volume > high { volume } else { high };
-                }
             }
-            // A volume of a hair's breadth is none; how much that is is asked only in doubt.
-            let breadth = || {
-                s.iter()
-                    .map(|&x| (b - x).cross(a - x).length())
-                    .fold(f64::INFINITY, f64::min)
+            // One that is known tells which way round the edge is, if it is in the outline.
+            let (a, b) = if one > 0 || other < 0 {
+                (edge.a, edge.b)
+            } else {
+                (edge.b, edge.a)
             };
-            let doubt = 1e-6 * (high - low);
-            if high <= 0.0 || (high < doubt && high <= near_m * breadth()) {
-                outlines.edges.truncate(start.0);
-                outlines.faces.truncate(start.1);
-                return Standing::Aside;
+            let (side, crossing) = side((a, b), s, r, near_m);
+            if one == 0 && other == 0 {
+                turning.push(TurningEdge {
+                    edge: *edge,
+                    crossing,
+                });
+                continue;
             }
-            if low < 0.0 && (-low > doubt || -low > near_m * breadth()) {
-                outlines.edges.push((a, b));
+            let always = one != 0 && other != 0;
+            match side {
+                Side::Clear if always => return Standing::Aside,
+                Side::Dark => {}
+                _ if always => edges.push(OutlineEdge { a, b, crossing }),
+                _ => turning.push(TurningEdge {
+                    edge: *edge,
+                    crossing,
+                }),
             }
         }
-        if start == (outlines.edges.len(), outlines.faces.len()) {
-            Standing::Everywhere
-        } else {
-            between(outlines, None)
+        if !turns && start.0 == edges.len() && start.1 == faces.len() {
+            return Standing::Everywhere;
         }
+        Standing::Between(Cast {
+            edges: start.0..edges.len(),
+            faces: start.1..faces.len(),
+            turning: turns.then(|| Turning {
+                blocker,
+                edges: start.2..turning.len(),
+                looks: start.3..start.3 + looks.len(),
+            }),
+        })
     }
 
-    /// What it hides of `receiver` from `point`.
+    /// What it hides of the receiver from `point`.
     #[inline]
     fn shadow(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<i8>, dark: &mut Ring) {
         let chart = &view.pair.to;
         dark.set(&view.receiver);
-        if let Some(blocker) = &self.turning {
-            return turning_shadow(blocker, point, chart, dark, looks, view.near_m);
-        }
-        for &(a, b) in &view.outlines.edges[self.edges.clone()] {
-            let inward = (b - point).cross(a - point);
+        for edge in &view.outlines.edges[self.edges.clone()] {
+            let inward = (edge.b - point).cross(edge.a - point);
             dark.cut(chart.line(inward, point));
             if dark.is_empty() {
                 return;
@@ -315,45 +385,84 @@ impl<'a> Cast<'a> {
         for face in &view.outlines.faces[self.faces.clone()] {
             dark.cut(chart.trace(face));
         }
+        if let Some(turning) = &self.turning
+            && !dark.is_empty()
+        {
+            turning.cut(point, view, looks, dark);
+        }
     }
 }
 
-/// The shadow of a blocker whose outline is found anew at each point.
-fn turning_shadow(
-    blocker: &Blocker,
-    point: DVec3,
-    chart: &Chart,
-    dark: &mut Ring,
-    looks: &mut Vec<i8>,
-    near_m: f64,
-) {
-    let single = !blocker.is_solid();
-    looks.clear();
-    for face in &blocker.faces {
-        let height = face.height(point);
-        // In the plane of a face counts as looking at it: a point below something that stands on
-        // its plane is then wholly dark.
-        let look = if height >= -near_m { 1 } else { -1 };
-        looks.push(look);
-        if look > 0 {
-            dark.cut(chart.trace(&face.flipped()));
-        } else if single {
-            dark.cut(chart.trace(face));
+impl Turning<'_> {
+    /// Takes away what is not in the shadow for the faces and edges that depend on the point.
+    fn cut(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<i8>, dark: &mut Ring) {
+        let chart = &view.pair.to;
+        let single = !self.blocker.is_solid();
+        looks.clear();
+        looks.extend_from_slice(&view.outlines.looks[self.looks.clone()]);
+        for (look, face) in looks.iter_mut().zip(&self.blocker.faces) {
+            if *look != 0 {
+                continue;
+            }
+            // In the plane of a face counts as looking at it: a point below something that stands
+            // on its plane is then wholly dark.
+            *look = if face.height(point) >= -view.near_m {
+                1
+            } else {
+                -1
+            };
+            if *look > 0 {
+                dark.cut(chart.trace(&face.flipped()));
+            } else if single {
+                dark.cut(chart.trace(face));
+            }
         }
-    }
-    if !single && looks.iter().all(|&l| l < 0) {
-        *dark = Ring::EMPTY;
-        return;
-    }
-    for edge in &blocker.edges {
-        let Some((a, b)) = edge.in_outline(looks) else {
-            continue;
-        };
-        dark.cut(chart.line((b - point).cross(a - point), point));
-        if dark.is_empty() {
+        if !single && looks.iter().all(|&l| l < 0) {
+            *dark = Ring::EMPTY;
             return;
         }
+        for turning in &view.outlines.turning[self.edges.clone()] {
+            if dark.is_empty() {
+                return;
+            }
+            if let Some((a, b)) = turning.edge.in_outline(looks) {
+                dark.cut(chart.line((b - point).cross(a - point), point));
+            }
+        }
     }
+}
+
+/// Where the receiver is from an edge, seen from all of the sender, and the corners of the receiver
+/// whose plane with the edge crosses the sender.
+#[inline]
+fn side((a, b): (DVec3, DVec3), s: &[DVec3], r: &[DVec3], near_m: f64) -> (Side, u32) {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    let (mut above, mut below) = (0_u32, 0_u32);
+    for &x in s {
+        let inward = (b - x).cross(a - x);
+        for (k, &q) in r.iter().enumerate() {
+            let volume = inward.dot(q - x);
+            low = if volume < low { volume } else { low };
+            high = if volume > high { volume } else { high };
+            above |= u32::from(volume > 0.0) << k;
+            below |= u32::from(volume < 0.0) << k;
+        }
+    }
+    // A volume of a hair's breadth is none; how much that is is asked only in doubt.
+    let breadth = || {
+        s.iter()
+            .map(|&x| (b - x).cross(a - x).length())
+            .fold(f64::INFINITY, f64::min)
+    };
+    let doubt = 1e-6 * (high - low);
+    let side = if high <= 0.0 || (high < doubt && high <= near_m * breadth()) {
+        Side::Clear
+    } else if low < 0.0 && (-low > doubt || -low > near_m * breadth()) {
+        Side::Both
+    } else {
+        Side::Dark
+    };
+    (side, above & below)
 }
 
 /// Lines on the sender where the hidden part of the receiver has a kink.
@@ -368,26 +477,28 @@ fn critical_lines(
     cuts.clear();
     let pair = &view.pair;
     for cast in view.casts {
-        let of_turning: Vec<(DVec3, DVec3)>;
-        let edges = match &cast.turning {
-            None => &view.outlines.edges[cast.edges.clone()],
-            Some(blocker) => {
-                // Where a face begins to show; and any edge may be one of the outline.
-                for face in &blocker.faces {
-                    if let Some(line) = crossing(pair.from.trace(face), start, near_m) {
-                        push(cuts, line);
-                    }
+        let known = &view.outlines.edges[cast.edges.clone()];
+        let mut turning = &[][..];
+        if let Some(cast) = &cast.turning {
+            // Where a face begins to show; and any edge may be one of the outline.
+            let looks = &view.outlines.looks[cast.looks.clone()];
+            for (face, _) in cast.blocker.faces.iter().zip(looks).filter(|f| *f.1 == 0) {
+                if let Some(line) = crossing(pair.from.trace(face), start, near_m) {
+                    push(cuts, line);
                 }
-                of_turning = blocker.edges.iter().map(|e| (e.a, e.b)).collect();
-                &of_turning[..]
             }
-        };
+            turning = &view.outlines.turning[cast.edges.clone()];
+        }
+        let edges = known
+            .iter()
+            .map(|e| ((e.a, e.b), e.crossing))
+            .chain(turning.iter().map(|t| ((t.edge.a, t.edge.b), t.crossing)));
         let mut seen = [DVec3::ZERO; 32];
         let mut count = 0;
-        for &(a, b) in edges {
+        for ((a, b), crossing) in edges {
             // An edge of the blocker passes a corner of the receiver, where the edge itself, not
             // its extension, lies between the corner and the sender.
-            for &corner in r {
+            for (_, &corner) in r.iter().enumerate().filter(|c| crossing >> c.0 & 1 == 1) {
                 kink(
                     pair,
                     s,
