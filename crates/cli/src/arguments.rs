@@ -221,7 +221,7 @@ pub struct Factors {
     pub points: Option<String>,
     /// The scene is closed: make rows sum to 1 by the least change that keeps reciprocity; the
     /// size of the change is reported
-    #[arg(long)]
+    #[arg(long, conflicts_with = "rows")]
     pub enclosed: bool,
     /// Leave out factors below this in both directions; what rows lose is reported
     #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = parse_threshold)]

@@ -2,6 +2,7 @@
 
 use luxel_core::{Facets, SparseRows};
 use std::collections::HashMap;
+use std::num::IntErrorKind;
 
 /// How facets are put together.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -165,12 +166,19 @@ impl Zones {
     }
 }
 
-/// Rows `a..b`, counted from 0, without b; `a..` to the end; `a` alone.
+/// Rows `a..b`, counted from 0, without b; `a..` to the end; `..b` from the first; `a` alone.
 pub fn parse_rows(text: &str) -> Result<std::ops::Range<u32>, String> {
     let wrong = || {
         format!("expected rows as 0..100 (from 0, without the last), 100.. or 7, found '{text}'")
     };
-    let number = |t: &str| t.trim().parse::<u32>().map_err(|_| wrong());
+    let number = |t: &str| {
+        t.trim().parse::<u32>().map_err(|e| match e.kind() {
+            IntErrorKind::PosOverflow => {
+                format!("expected rows below {}, found '{text}'", u32::MAX)
+            }
+            _ => wrong(),
+        })
+    };
     let run = match text.split_once("..") {
         None => {
             let row = number(text)?;
@@ -187,7 +195,9 @@ pub fn parse_rows(text: &str) -> Result<std::ops::Range<u32>, String> {
         }
     };
     if run.start >= run.end {
-        return Err(wrong());
+        return Err(format!(
+            "expected the first row before the end, as 0..100, found '{text}', which has no row"
+        ));
     }
     Ok(run)
 }

@@ -7,6 +7,9 @@ use luxel_core::glam::DVec2;
 
 /// Most corners of a [`Ring`].
 pub(crate) const MOST: usize = 16;
+/// Times that a polygon is halved for the sake of its corners, at most: those of a piece that small
+/// are within rounding of each other.
+pub(crate) const MOST_HALVINGS: u32 = 24;
 
 /// A plane with axes: the place of a part.
 #[derive(Clone, Copy, Debug)]
@@ -92,6 +95,8 @@ impl Line {
 pub(crate) struct Ring {
     corners: [DVec2; MOST],
     len: usize,
+    /// Whether a corner did not fit.
+    overfull: bool,
 }
 
 impl Ring {
@@ -99,15 +104,16 @@ impl Ring {
     pub(crate) const EMPTY: Ring = Ring {
         corners: [DVec2::ZERO; MOST],
         len: 0,
+        overfull: false,
     };
 
     #[inline]
     fn push(&mut self, corner: DVec2) {
-        // Each cut adds at most one corner; beyond the bound the polygon loses a corner that is
-        // within rounding of its neighbours anyway.
         if self.len < MOST {
             self.corners[self.len] = corner;
             self.len += 1;
+        } else {
+            self.overfull = true;
         }
     }
 
@@ -119,6 +125,13 @@ impl Ring {
     #[inline]
     pub(crate) fn is_empty(&self) -> bool {
         self.len < 3
+    }
+
+    /// Whether it had more corners than fit, so that something of it is missing: to be done again
+    /// by halves.
+    #[inline]
+    pub(crate) fn is_overfull(&self) -> bool {
+        self.overfull
     }
 
     pub(crate) fn middle(&self) -> DVec2 {
@@ -156,6 +169,7 @@ impl Ring {
     #[inline]
     pub(crate) fn set(&mut self, other: &Ring) {
         self.len = other.len;
+        self.overfull = other.overfull;
         for k in 0..other.len {
             self.corners[k] = other.corners[k];
         }
@@ -182,36 +196,23 @@ impl Ring {
         self.take_away(below, &heights);
     }
 
-    /// Takes away the corners whose bits are set, some but not all: one run around the ring.
+    /// Takes away the corners whose bits are set, some but not all. They are one run around the
+    /// ring, but for corners within rounding of the line.
     fn take_away(&mut self, below: u32, heights: &[f64; MOST]) {
         let n = self.len;
-        // Where the edge from the corner before crosses zero; none where it starts or ends there.
-        let crossing = |from: usize, to: usize| {
-            let (h, g) = (heights[from], heights[to]);
-            let (p, q) = (self.corners[from], self.corners[to]);
-            (h != 0.0 && g != 0.0).then(|| p + (q - p) * (h / (h - g)))
-        };
-        let lies_below = |k: usize| below >> k & 1 == 1;
-        let (kept, new) = if lies_below(0) || lies_below(n - 1) {
-            let first = (!below).trailing_zeros() as usize;
-            let last = (0..n).rev().find(|&k| !lies_below(k)).unwrap_or(first);
-            let new = [
-                crossing(last, (last + 1) % n),
-                crossing((first + n - 1) % n, first),
-            ];
-            self.corners.copy_within(first..=last, 0);
-            (last + 1 - first, new)
-        } else {
-            let first = below.trailing_zeros() as usize;
-            let end = (u32::BITS - below.leading_zeros()) as usize;
-            let new = [crossing(first - 1, first), crossing(end - 1, end)];
-            // What follows the gap goes before the corners that it starts with.
-            self.corners[..n].rotate_left(end);
-            (n - (end - first), new)
-        };
-        self.len = kept;
-        for corner in new.into_iter().flatten() {
-            self.push(corner);
+        let whole = self.corners;
+        self.len = 0;
+        let mut last = n - 1;
+        for k in 0..n {
+            let (h, g) = (heights[last], heights[k]);
+            // Where the edge crosses zero; not where it starts or ends there.
+            if (below >> last ^ below >> k) & 1 == 1 && h != 0.0 && g != 0.0 {
+                self.push(whole[last] + (whole[k] - whole[last]) * (h / (h - g)));
+            }
+            if below >> k & 1 == 0 {
+                self.push(whole[k]);
+            }
+            last = k;
         }
         if self.len < 3 {
             self.len = 0;
@@ -278,14 +279,27 @@ impl Ring {
     }
 
     /// Pushes the parts of this ring outside of `other`.
-    pub(crate) fn outside(mut self, other: &Ring, rest: &mut Vec<Ring>) {
+    pub(crate) fn outside(&self, other: &Ring, rest: &mut Vec<Ring>) {
+        self.outside_by_halves(other, rest, MOST_HALVINGS);
+    }
+
+    fn outside_by_halves(&self, other: &Ring, rest: &mut Vec<Ring>, halvings: u32) {
+        let start = rest.len();
+        let mut inside = *self;
         for k in 0..other.len {
-            let (within, without) = self.split(other.side(k));
+            let (within, without) = inside.split(other.side(k));
+            if halvings > 0 && (within.overfull || without.overfull) {
+                rest.truncate(start);
+                let (one, two) = self.halves();
+                one.outside_by_halves(other, rest, halvings - 1);
+                two.outside_by_halves(other, rest, halvings - 1);
+                return;
+            }
             if !without.is_empty() {
                 rest.push(without);
             }
-            self = within;
-            if self.is_empty() {
+            inside = within;
+            if inside.is_empty() {
                 return;
             }
         }

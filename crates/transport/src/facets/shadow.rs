@@ -19,7 +19,7 @@
 //! [Lischinski92] (vertex-edge events; those of three edges are left to the error estimate).
 
 use super::blockers::{Blocker, Edge, Plane};
-use super::ring::{Chart, Line, Ring};
+use super::ring::{Chart, Line, MOST_HALVINGS, Ring};
 use super::shaft::hides;
 use crate::lambert::above_horizon;
 use crate::polygon_pair::{ball, exchange_area};
@@ -37,6 +37,10 @@ const MOST_PIECES: usize = 400;
 /// Shadows that a pair may cut, about, one a point and blocker: bounds the time for pairs with a
 /// heap of things between them. What error is left is stated.
 const MOST_SHADOWS: usize = 120_000;
+
+/// Share of a sender with more lines than were cut, above which a piece that looks wholly seen or
+/// wholly hidden is looked at again.
+const DOUBTED: f64 = 0.01;
 
 /// Edges and faces that matter, of all blockers of a pair.
 #[derive(Default)]
@@ -370,11 +374,37 @@ impl<'a> Cast<'a> {
         })
     }
 
-    /// What it hides of the receiver from `point`.
+    /// Adds what it hides of `receiver` from `point` to the first `count` shadows: one polygon, or
+    /// several where that has too many corners for one.
+    fn shadows(
+        &self,
+        point: DVec3,
+        (receiver, halvings): (&Ring, u32),
+        view: &View<'_>,
+        looks: &mut Vec<i8>,
+        shadows: &mut Vec<Ring>,
+        count: &mut usize,
+    ) {
+        if shadows.len() <= *count {
+            shadows.push(Ring::EMPTY);
+        }
+        let dark = &mut shadows[*count];
+        dark.set(receiver);
+        self.cut(point, view, looks, dark);
+        if dark.is_overfull() && halvings > 0 {
+            let (one, two) = receiver.halves();
+            for half in [one, two] {
+                self.shadows(point, (&half, halvings - 1), view, looks, shadows, count);
+            }
+        } else {
+            *count += usize::from(!dark.is_empty());
+        }
+    }
+
+    /// Takes away what it does not hide from `point`.
     #[inline]
-    fn shadow(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<i8>, dark: &mut Ring) {
+    fn cut(&self, point: DVec3, view: &View<'_>, looks: &mut Vec<i8>, dark: &mut Ring) {
         let chart = &view.pair.to;
-        dark.set(&view.receiver);
         for edge in &view.outlines.edges[self.edges.clone()] {
             let inward = (edge.b - point).cross(edge.a - point);
             dark.cut(chart.line(inward, point));
@@ -696,6 +726,7 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     let most_points = (MOST_SHADOWS / view.casts.len().max(1)).max(64);
     // Half of the points for the pieces to begin with, five each.
     let most_pieces = MOST_PIECES.min(most_points / 10);
+    let start_m2 = start.area();
     // So little is at stake that any answer will do.
     let negligible = asked.free <= 2.0 * asked.tolerance;
     let small_m2 = if negligible {
@@ -703,7 +734,7 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
     } else {
         // Shadows that overlap have kinks which no cut knows of.
         let several = if view.casts.len() > 1 { 0.5 } else { 1.0 };
-        several * asked.small * start.area()
+        several * asked.small * start_m2
     };
     for &line in scratch.cuts.iter().filter(|_| !negligible) {
         if pieces.len() > most_pieces {
@@ -716,7 +747,8 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
             }
             let (front, behind) = pieces[k].split(line);
             let (a, b) = (front.area(), behind.area());
-            if a.min(b) > asked.sliver * (a + b) {
+            let whole = !front.is_overfull() && !behind.is_overfull();
+            if whole && a.min(b) > asked.sliver * (a + b) {
                 pieces[k] = front;
                 pieces.push(behind);
             }
@@ -756,8 +788,9 @@ fn by_pieces(view: &View<'_>, start: Ring, asked: &Asked, scratch: &mut Scratch)
             pieces.push(two);
             found.push(Found::default());
             for piece in [piece, second] {
-                // Halves of a piece in doubt that agree are trusted.
-                found[piece] = measure(view, &pieces[piece], 0.0, false, scratch);
+                // Of a sender in doubt only small pieces that agree are trusted.
+                let unsure = unsure && pieces[piece].area() > DOUBTED * start_m2;
+                found[piece] = measure(view, &pieces[piece], 0.0, unsure, scratch);
                 sum.error += found[piece].error;
                 queue.push(Waiting {
                     error: found[piece].error,
@@ -859,14 +892,11 @@ fn hidden_from(view: &View<'_>, point: DVec2, scratch: &mut Scratch) -> (f64, f6
     } else {
         factor(&view.pair, x, &view.receiver)
     };
-    if scratch.shadows.len() < view.casts.len() {
-        scratch.shadows.resize(view.casts.len(), Ring::EMPTY);
-    }
     let mut count = 0;
     for cast in view.casts {
-        let shadow = &mut scratch.shadows[count];
-        cast.shadow(x, view, &mut scratch.looks, shadow);
-        count += usize::from(!shadow.is_empty());
+        let Scratch { looks, shadows, .. } = scratch;
+        let whole = (&view.receiver, MOST_HALVINGS);
+        cast.shadows(x, whole, view, looks, shadows, &mut count);
     }
     let hidden = match &scratch.shadows[..count] {
         [] => return (0.0, all),

@@ -407,3 +407,50 @@ fn rounded_triangles_do_not_stand_in_their_own_way() {
     );
     assert!(worst < 4e-4, "{worst:e}");
 }
+
+#[test]
+fn a_round_table_hides_what_its_outline_says() {
+    // One facet of many corners in a room: from a point by the closed form, whole factors by
+    // closure and by symmetry. Its shadow has more corners than a ring holds.
+    let corner = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+    let radius = 0.5;
+    for n in [24, 48, 100, 1000] {
+        let table: Vec<DVec3> = (0..n)
+            .map(|k| std::f64::consts::TAU * k as f64 / n as f64)
+            .map(|t| corner(2.0 + radius * t.cos(), 2.0 + radius * t.sin(), 1.3))
+            .collect();
+        let (w, h) = (4.0, 3.0);
+        let room = [
+            [[0., 0., 0.], [w, 0., 0.], [w, w, 0.], [0., w, 0.]],
+            [[0., 0., h], [0., w, h], [w, w, h], [w, 0., h]],
+            [[0., 0., 0.], [0., 0., h], [w, 0., h], [w, 0., 0.]],
+            [[w, 0., 0.], [w, 0., h], [w, w, h], [w, w, 0.]],
+            [[w, w, 0.], [w, w, h], [0., w, h], [0., w, 0.]],
+            [[0., w, 0.], [0., w, h], [0., 0., h], [0., 0., 0.]],
+        ]
+        .map(|side| side.map(DVec3::from_array).to_vec());
+        let [floor, ceiling] = [0, 1].map(|k| room[k].clone());
+        let rows: Vec<Vec<DVec3>> = room.into_iter().chain([table.clone()]).collect();
+        let all = facets(rows, Vec::new());
+        let work = FacetFactors::new(&all, &FacetSettings::default());
+        let x = corner(1.9, 2.05, 0.0);
+        let free = |polygon: &[DVec3]| crate::lambert::above_horizon(x, DVec3::Z, polygon);
+        let underside: Vec<DVec3> = table.iter().rev().copied().collect();
+        let exact = free(&ceiling) - free(&underside);
+        assert_eq!(free(&floor), 0.0);
+        let found = work.from_point(x, DVec3::Z);
+        let seen = found.iter().find(|f| f.0 == 1).map_or(0.0, |f| f.1);
+        assert!((seen - exact).abs() < 1e-12, "{n}: {seen} for {exact}");
+        if n > 100 {
+            continue;
+        }
+        let (matrix, _) = computed(&all, 1e-4);
+        let sums = matrix.row_sums();
+        // The ceiling and the table see only fronts; the walls are alike.
+        assert!((sums[1] - 1.0).abs() < 2e-4, "{n}: {sums:?}");
+        assert!((sums[6] - 1.0).abs() < 2e-4, "{n}: {sums:?}");
+        for wall in 3..6 {
+            assert!((sums[wall] - sums[2]).abs() < 2e-4, "{n}: {sums:?}");
+        }
+    }
+}
