@@ -5,12 +5,13 @@
 //! row whatever parts it is cut into; a facet without area keeps its row.
 //!
 //! - `stl`: ASCII and binary; `ply`; `obj`; `gltf`; `vs3`: input of View3D
-//! - `parts`: polygons of any shape into convex planar ones
+//! - `parts`: polygons of any shape into convex planar ones; `outline`: what a ring encloses
 //! - `numbers`: coordinates, and how well the file knows them
 
 mod gltf;
 mod numbers;
 mod obj;
+mod outline;
 mod parts;
 mod ply;
 mod stl;
@@ -331,6 +332,7 @@ struct Oddities {
     without_area: Odd,
     bent: Odd,
     crossed: Odd,
+    cancelled: Odd,
 }
 
 impl Oddities {
@@ -350,14 +352,14 @@ impl Oddities {
                 Spot::Facet(number) => error.within(format!("facet {number}")),
             }
         })?;
-        if cut.parts.is_empty() {
-            count(&mut self.without_area, spot());
+        match (cut.parts.is_empty(), cut.crossed) {
+            (true, true) => count(&mut self.cancelled, spot()),
+            (true, false) => count(&mut self.without_area, spot()),
+            (false, true) => count(&mut self.crossed, spot()),
+            (false, false) => (),
         }
         if !cut.flat {
             count(&mut self.bent, spot());
-        }
-        if cut.crossed {
-            count(&mut self.crossed, spot());
         }
         Ok(cut.parts)
     }
@@ -374,7 +376,11 @@ impl Oddities {
             ),
             (
                 self.crossed,
-                "facets whose outlines cross themselves were cut as they are; the first is here",
+                "facets whose outlines cross themselves take all that these go round; the first is here",
+            ),
+            (
+                self.cancelled,
+                "facets whose outlines cross themselves face neither way, and keep rows that see nothing; the first is here",
             ),
         ];
         for (odd, what) in kinds {

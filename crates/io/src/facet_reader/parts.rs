@@ -1,10 +1,12 @@
 //! A polygon of any shape into convex planar parts, and one convex polygon out of others.
 //!
-//! A concave polygon is cut by its ears, and ears are put together again over every diagonal
-//! that no hollow corner needs [Hertel83]: at most four times as many parts as there could be.
-//! A polygon that is not flat stays in triangles. Subtraction cuts a piece along one edge of the
-//! cutter after the other and keeps what lies outside: every piece stays convex.
+//! A concave polygon is cut into triangles (`outline`), and these are put together again over every
+//! diagonal that no hollow corner needs [Hertel83]: at most four times as many parts as there could
+//! be. A polygon that is not flat is cut by its ears and stays in triangles. Subtraction cuts a
+//! piece along one edge of the cutter after the other and keeps what lies outside: every piece
+//! stays convex.
 
+use super::outline::enclosed;
 use crate::obj_reader::polygon::{MOST_CORNERS, area_vector, ears};
 use luxel_core::{DVec3, Polygon};
 use std::collections::HashMap;
@@ -50,6 +52,18 @@ fn is_line(area: DVec3, p: &[DVec3], grain: f64) -> bool {
     !height_is_seen
 }
 
+/// Whether some corner lies off the line from the first to the one farthest from it.
+fn has_breadth(p: &[DVec3], grain: f64) -> bool {
+    let far = |q: &&DVec3| q.distance_squared(p[0]);
+    let Some(far) = p.iter().max_by(|a, b| far(a).total_cmp(&far(b))) else {
+        return false;
+    };
+    p.iter().any(|q| {
+        let area = 0.5 * (*far - p[0]).cross(*q - p[0]);
+        !is_line(area, &[p[0], *far, *q], grain)
+    })
+}
+
 /// The convex parts of a closed ring of corners. A ring without area has none.
 pub(super) fn convex_parts(ring: &[DVec3], tolerance: Tolerance) -> Result<Cut, TooManyCorners> {
     let mut cut = Cut {
@@ -71,6 +85,8 @@ pub(super) fn convex_parts(ring: &[DVec3], tolerance: Tolerance) -> Result<Cut, 
     }
     let area = area_vector(&p);
     if is_line(area, &p, tolerance.grain) {
+        // Halves that cancel, such as those of a bow tie: which way they would face is not said.
+        cut.crossed = has_breadth(&p, tolerance.grain);
         return Ok(cut);
     }
     let normal = area.normalize();
@@ -85,35 +101,29 @@ pub(super) fn convex_parts(ring: &[DVec3], tolerance: Tolerance) -> Result<Cut, 
     if p.len() > MOST_CORNERS {
         return Err(TooManyCorners);
     }
-    let triangles = ears(&p);
-    if !cut.flat {
-        for t in triangles {
+    let inside = if cut.flat {
+        enclosed(&p, normal, size)
+    } else {
+        None
+    };
+    let Some(inside) = inside else {
+        for t in ears(&p) {
             push_part(&mut cut.parts, t.iter().map(|&k| p[k]), tolerance.grain);
         }
-        return Ok(cut);
-    }
-    let signed = |t: &[usize; 3]| (p[t[1]] - p[t[0]]).cross(p[t[2]] - p[t[0]]).dot(normal);
-    let turned = -triangles.iter().map(signed).fold(0.0, f64::min);
-    // Twice an area of a strip as thin as what flatness forgives.
-    cut.crossed = turned > FLAT * size * size;
-    if cut.crossed {
-        for t in triangles {
-            let [a, b, c] = t.map(|k| p[k]);
-            let corners = if signed(&t) < 0.0 {
-                [a, c, b]
-            } else {
-                [a, b, c]
-            };
-            push_part(&mut cut.parts, corners.into_iter(), tolerance.grain);
+        if cut.flat {
+            cut.crossed = true;
+            for part in &mut cut.parts {
+                if part.area_vector().dot(normal) < 0.0 {
+                    part.vertices.reverse();
+                }
+            }
         }
         return Ok(cut);
-    }
-    for piece in merged(&p, normal, triangles) {
-        push_part(
-            &mut cut.parts,
-            piece.into_iter().map(|k| p[k]),
-            tolerance.grain,
-        );
+    };
+    cut.crossed = inside.crossed;
+    for piece in merged(&inside.points, normal, inside.triangles) {
+        let corners = piece.into_iter().map(|k| inside.points[k]);
+        push_part(&mut cut.parts, corners, tolerance.grain);
     }
     Ok(cut)
 }
@@ -126,10 +136,11 @@ fn push_part(parts: &mut Vec<Polygon>, corners: impl Iterator<Item = DVec3>, gra
     }
 }
 
-/// Twice the signed area of three corners, at most so far below zero that they count as straight.
+/// Whether a ring goes on to the left, or straight to rounding; back is neither.
 fn turns_left(a: DVec3, b: DVec3, c: DVec3, normal: DVec3) -> bool {
     let (u, v) = (b - a, c - b);
-    u.cross(v).dot(normal) >= -1e-12 * u.length() * v.length()
+    let (turn, straight) = (u.cross(v).dot(normal), 1e-12 * u.length() * v.length());
+    turn > straight || (turn >= -straight && u.dot(v) > 0.0)
 }
 
 /// Whether a flat ring turns left everywhere, and once in all.
@@ -405,6 +416,131 @@ mod tests {
         let cut = convex_parts(&bow, FINE).unwrap();
         assert!(cut.crossed);
         assert!(cut.parts.iter().all(|p| p.area_vector().z > 0.0));
+    }
+
+    #[test]
+    fn an_outline_that_touches_or_retraces_itself_has_the_area_it_encloses() {
+        for (what, outline, area_m2, parts) in [
+            (
+                "a spike from a corner",
+                ring(&[(0., 0.), (2., 0.), (2., 2.), (5., 5.), (2., 2.), (0., 2.)]),
+                4.0,
+                1,
+            ),
+            (
+                "a spike from an edge",
+                ring(&[
+                    (0., 0.),
+                    (1., 0.),
+                    (1., -3.),
+                    (1., 0.),
+                    (2., 0.),
+                    (2., 2.),
+                    (0., 2.),
+                ]),
+                4.0,
+                1,
+            ),
+            (
+                "an edge retraced within itself",
+                ring(&[(0., 0.), (2., 0.), (1., 0.), (2., 0.), (2., 2.), (0., 2.)]),
+                4.0,
+                1,
+            ),
+            (
+                "two squares at a corner",
+                ring(&[
+                    (1., 1.),
+                    (0., 1.),
+                    (0., 0.),
+                    (1., 0.),
+                    (1., 1.),
+                    (2., 1.),
+                    (2., 2.),
+                    (1., 2.),
+                ]),
+                2.0,
+                2,
+            ),
+            (
+                "a corner on an edge",
+                ring(&[(0., 0.), (4., 0.), (4., 1.), (2., 0.), (0., 1.)]),
+                2.0,
+                2,
+            ),
+            (
+                "a hole on a bridge",
+                ring(&[
+                    (0., 0.),
+                    (4., 0.),
+                    (4., 4.),
+                    (0., 4.),
+                    (0., 0.),
+                    (1., 1.),
+                    (1., 2.),
+                    (2., 2.),
+                    (2., 1.),
+                    (1., 1.),
+                ]),
+                15.0,
+                0,
+            ),
+            (
+                "gone round twice",
+                ring(&[
+                    (0., 0.),
+                    (1., 0.),
+                    (1., 1.),
+                    (0., 1.),
+                    (0., 0.),
+                    (1., 0.),
+                    (1., 1.),
+                    (0., 1.),
+                ]),
+                1.0,
+                1,
+            ),
+        ] {
+            for turn in 0..outline.len() {
+                let mut turned = outline.clone();
+                turned.rotate_left(turn);
+                let cut = convex_parts(&turned, FINE).unwrap();
+                assert_convex(&cut.parts);
+                assert!(
+                    (area(&cut.parts) - area_m2).abs() < 1e-12,
+                    "{what}: {cut:?}"
+                );
+                assert!(parts == 0 || cut.parts.len() == parts, "{what}: {cut:?}");
+                assert_eq!(cut.crossed, what == "gone round twice", "{what}");
+            }
+        }
+    }
+
+    #[test]
+    fn halves_that_cancel_are_said_to_cross() {
+        let bow = ring(&[(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)]);
+        let cut = convex_parts(&bow, FINE).unwrap();
+        assert!(cut.parts.is_empty() && cut.crossed);
+    }
+
+    #[test]
+    fn random_outlines_are_cut_into_convex_parts_of_one_facing() {
+        use proptest::prelude::*;
+        let corners = prop::collection::vec((0u8..7, 0u8..7), 3..24);
+        proptest!(|(corners in corners, tilt in 0.0f64..3.0)| {
+            let turn = luxel_core::glam::DMat3::from_rotation_x(tilt);
+            let outline: Vec<DVec3> = corners
+                .iter()
+                .map(|&(x, y)| turn * DVec3::new(f64::from(x) / 3.0, f64::from(y) / 3.0, 1.0))
+                .collect();
+            let cut = convex_parts(&outline, FINE).unwrap();
+            let newell = area_vector(&outline);
+            let one_facing: f64 = cut.parts.iter().map(|p| p.area_vector().dot(newell)).sum();
+            let areas: f64 = cut.parts.iter().map(Polygon::area).sum();
+            // What is gone round w times counts |w| times in no sum but Newell's, w being signed.
+            prop_assert!((one_facing - areas * newell.length()).abs() < 1e-9);
+            prop_assert!(cut.crossed || (areas - newell.length()).abs() < 1e-9, "{:?}", cut);
+        });
     }
 
     #[test]
