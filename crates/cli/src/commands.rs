@@ -258,7 +258,7 @@ fn factors(arguments: &Factors) -> Result<Outcome, String> {
             outcome.report.finished_rows
         ));
     }
-    Ok(Outcome::of(outcome.complete))
+    Ok(Outcome::of(outcome.complete && outcome.report.accuracy_met))
 }
 
 /// All of `source`, which may be as long as an eighth of the memory bound.

@@ -222,6 +222,36 @@ fn zones_without_all_their_rows_are_marked() {
     assert!(shown.contains("not all rows of this zone"), "{shown}");
 }
 
+#[test]
+fn accuracy_that_is_not_met_is_said_and_ends_with_exit_code_1() {
+    // Two plates and three triangles in the air between them: pairs are given up at about 5e-7.
+    let text = "\
+v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 0 0 1.2\nv 0 2 1.2\nv 2 2 1.2\nv 2 0 1.2
+v 0.7 1.1 0.5\nv 0.9 1.1 0.6\nv 0.8 1.3 0.5\nv 1.2 0.4 0.8\nv 1.4 0.5 0.7\nv 1.2 0.6 0.9
+v 1.0 1.0 0.3\nv 1.2 1.2 0.4\nv 1.1 1.1 0.6\nf 1 2 3 4\nf 5 6 7 8\nf 9 10 11\nf 12 13 14\nf 15 16 17
+";
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("plates.obj");
+    std::fs::write(&scene, text).expect("a scene");
+    let scene = scene.display().to_string();
+    let report = folder.path().join("plates.factors.json");
+    for (error, rows, code) in [
+        ("1e-4", "0..", Some(0)),
+        ("1e-8", "0..", Some(1)),
+        ("1e-8", "0", Some(1)),
+    ] {
+        let out = luxel(&["factors", &scene, "--error", error, "--rows", rows]);
+        let told = words(&out.stderr);
+        assert_eq!(out.status.code(), code, "{told}");
+        let report = std::fs::read(&report).expect("a report");
+        let report: serde_json::Value = serde_json::from_slice(&report).expect("JSON");
+        assert_eq!(report["accuracy_met"], code == Some(0));
+        assert_eq!(report["complete"], true);
+        let said = "warning: plates: accuracy not met: errors of a row together are stated";
+        assert_eq!(told.contains(said), code == Some(1), "{told}");
+    }
+}
+
 /// SIGINT is what Ctrl-C sends.
 #[cfg(unix)]
 #[test]

@@ -50,7 +50,11 @@ pub(super) fn compressed(
     }
     found.keep_rest(work);
     found.say(&mut document.warnings);
-    report.counts(&found.counts, &document.facets.areas());
+    let areas = document.facets.areas();
+    report.counts(&found.counts, &areas, &vec![true; areas.len()]);
+    if let Some(what) = report.doubt() {
+        document.warnings.add(document.facets.name.clone(), what, 1);
+    }
     let matrix = work.compressed(std::mem::take(&mut found.batches));
     // All is there: a stop from here on only hurries what is left.
     watch(&Status::begin(Stage::Measure));

@@ -92,7 +92,7 @@ pub struct FactorsOutcome {
     pub report: FactorsReport,
     /// What was odd in the input.
     pub warnings: Warnings,
-    /// Whether all that was asked is there.
+    /// Whether all that was asked is there. How accurate it is, is in the report.
     pub complete: bool,
     /// Where work is kept that a later run can go on with.
     pub kept_in: Option<PathBuf>,
@@ -201,8 +201,11 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
     let precision = job.precision.unwrap_or(Precision::Double);
     let mut lost = vec![0.0; areas.len()];
     let mut matrix = assembled(&areas, &found.batches, job.threshold, &mut lost);
-    report.counts(&found.counts, &areas);
+    report.counts(&found.counts, &areas, &keep);
     report.before(&matrix, &keep, &lost);
+    if let Some(what) = report.doubt() {
+        document.warnings.add(document.facets.name.clone(), what, 1);
+    }
     if asked.enclosed && !(complete && asked.all_rows(areas.len())) {
         let what = "closure is not repaired: that takes all rows";
         document.warnings.add(document.facets.name.clone(), what, 1);
