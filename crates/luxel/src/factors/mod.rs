@@ -15,9 +15,7 @@ use crate::spare::replaced;
 use crate::stage::{Clock, Stage, peak_memory_bytes};
 use crate::watch::{Control, Status, Watch, enter};
 use luxel_core::{DVec3, SparseRows, Warnings};
-use luxel_io::{
-    FacetDocument, FacetOptions, FactorFormat, Precision, WriteError, read_facets, write_factors,
-};
+use luxel_io::{FacetDocument, FacetOptions, FactorFormat, Precision, read_facets, write_factors};
 use luxel_transport::closure_repair::{ExchangeAreas, Repair, RepairSettings, repair_closure};
 use luxel_transport::facets::{Batch, ExchangeMatrix, FacetFactors, FacetSettings, Triplet};
 use rayon::prelude::*;
@@ -236,10 +234,12 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         matrix: &matrix,
         keep: &keep,
     };
-    let written = match &zones {
+    report.bytes = match &zones {
         None => {
             report.facets(facets, &areas);
-            write_factors(&output, &kept, &areas, precision)
+            found.write(&work, complete, || {
+                write_factors(&output, &kept, &areas, precision)
+            })?
         }
         Some(zones) => {
             let table = Table::of_zones(&kept, &areas, zones, !job.to_zones, &keep);
@@ -258,16 +258,17 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
             if job.to_zones {
                 report.facets(facets, &areas);
             }
-            write_factors(&output, &table, &row_areas, precision)
+            found.write(&work, complete, || {
+                write_factors(&output, &table, &row_areas, precision)
+            })?
         }
     };
-    report.bytes = written.map_err(|e| unwritten(e, found.file_path()))?;
     report.complete = complete;
     report.finished_rows = keep.iter().filter(|&&k| k).count();
-    let report_path = finish(&mut report, &document.warnings, &mut clock, &output)?;
     if complete {
-        found.remove().map_err(|e| unwritten(e, None))?;
+        found.remove()?;
     }
+    let report_path = finish(&mut report, &document.warnings, &mut clock, &output)?;
     let kept_in = found.kept_in().map(Path::to_owned);
     Ok(FactorsOutcome {
         output,
@@ -494,8 +495,7 @@ fn from_points(
     // A point has no area.
     let areas = vec![0.0; points.len()];
     let precision = job.precision.unwrap_or(Precision::Double);
-    let written = write_factors(output, &table, &areas, precision);
-    report.bytes = written.map_err(|e| unwritten(e, None))?;
+    report.bytes = write_factors(output, &table, &areas, precision)?;
     report.complete = complete;
     let report_path = finish(&mut report, &document.warnings, &mut clock, output)?;
     Ok(FactorsOutcome {
@@ -540,17 +540,4 @@ fn part_path(output: &Path) -> PathBuf {
 /// Where the report goes: `room.json`.
 fn report_path(output: &Path) -> PathBuf {
     output.with_extension("json")
-}
-
-/// Why a file could not be written, and where the work is kept, if it is.
-fn unwritten(error: WriteError, part: Option<&Path>) -> Error {
-    match (error, part) {
-        (WriteError::System { path, source }, Some(part)) => Error::WriteKept {
-            why: luxel_io::plainly(&source),
-            path,
-            part: part.to_owned(),
-        },
-        (WriteError::System { path, source }, None) => Error::Write { path, source },
-        (other, _) => Error::Setting(other.to_string()),
-    }
 }
