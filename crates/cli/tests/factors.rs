@@ -158,7 +158,9 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
         "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\n",
     )
     .expect("a file");
-    let (scene, broken) = (scene.display().to_string(), broken.display().to_string());
+    let binary = folder.path().join("points.bin");
+    std::fs::write(&binary, [255, 254, 0]).expect("a file");
+    let [scene, broken, binary] = [scene, broken, binary].map(|p| p.display().to_string());
     for (arguments, said) in [
         (vec!["factors", &scene, "-o", "f.txt"], ".npz, .csv or .mtx"),
         (vec!["factors", &scene, "-o", &scene], ".npz"),
@@ -180,6 +182,18 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
         (vec!["factors", &scene, "--group", "a=nobody"], "'nobody'"),
         (vec!["factors", &scene, "--to-zones"], "--by or --group"),
         (vec!["factors", "missing.ply"], "missing.ply"),
+        (
+            vec!["factors", &scene, "--points", "missing.txt"],
+            "luxel: missing.txt: expected a file of points, found no such file",
+        ),
+        (
+            vec!["factors", &scene, "--points", "src"],
+            "luxel: src: expected a file of points, found a folder",
+        ),
+        (
+            vec!["factors", &scene, "--points", &binary],
+            "points.bin: expected points as text, found something that is no UTF-8",
+        ),
         (
             vec!["factors", &scene, "--error", "2"],
             "expected a number from",
