@@ -35,7 +35,7 @@ pub fn line(error: &Error) -> String {
             };
             format!("{argument}: expected {expected}, found {found}")
         }
-        ErrorKind::MissingRequiredArgument => format!("expected {argument} as well, found none"),
+        ErrorKind::MissingRequiredArgument => format!("expected {argument}, found none"),
         ErrorKind::ArgumentConflict => {
             let other = text(ContextKind::PriorArg);
             if other == argument {
@@ -93,11 +93,8 @@ mod tests {
                 "light a.obj --seed 5000000000",
                 "--seed <N>: expected another value (5000000000 is not in 0..=4294967295), found '5000000000'",
             ),
-            ("factors", "expected <SCENE> as well, found none"),
-            (
-                "probe a.obj",
-                "expected --points <FILE> as well, found none",
-            ),
+            ("factors", "expected <SCENE>, found none"),
+            ("probe a.obj", "expected --points <FILE>, found none"),
             (
                 "factors a.obj --enclosed --rows 3",
                 "--enclosed: expected without --rows <A..B>, found both",

@@ -180,6 +180,10 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
             "no-such-folder/f.npz: could not be written",
         ),
         (vec!["factors", &scene, "--group", "a=nobody"], "'nobody'"),
+        (
+            vec!["factors", &scene, "--group", "rest=box"],
+            "--group rest=...: expected a name that no other zone has, found",
+        ),
         (vec!["factors", &scene, "--to-zones"], "--by or --group"),
         (vec!["factors", "missing.ply"], "missing.ply"),
         (
@@ -264,6 +268,30 @@ v 1.0 1.0 0.3\nv 1.2 1.2 0.4\nv 1.1 1.1 0.6\nf 1 2 3 4\nf 5 6 7 8\nf 9 10 11\nf 
         let said = "warning: plates: accuracy not met: errors of a row together are stated";
         assert_eq!(told.contains(said), code == Some(1), "{told}");
     }
+}
+
+#[test]
+fn warnings_name_the_row_and_what_the_file_has_no_names_for() {
+    // A plate of 1 m under another, and a part of that a second time in the same place.
+    let text = "\
+v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 .01\nv 0 1 .01\nv 1 1 .01\nv 1 0 .01
+v 0.1 0.1 0.01\nv 0.1 0.9 0.01\nv 0.9 0.9 0.01\nv 0.9 0.1 0.01
+usemtl tin\nf 1 2 3 4\nf 5 6 7 8\nf 9 10 11 12
+";
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("plates.obj");
+    std::fs::write(&scene, text).expect("a scene");
+    let scene = scene.display().to_string();
+    let out = luxel(&["factors", &scene, "--by", "object", "--enclosed"]);
+    let told = words(&out.stderr);
+    for said in [
+        "warning: plates: row 0 (material 'tin') sums to 1.",
+        "not closed, row 0 (material 'tin') misses 1 by",
+        "warning: plates: the file names no objects: all facets that no group names are one zone",
+    ] {
+        assert!(told.contains(said), "{told}");
+    }
+    assert!(!words(&luxel(&["factors", &scene, "--by", "material"]).stderr).contains("names no"));
 }
 
 /// SIGINT is what Ctrl-C sends.

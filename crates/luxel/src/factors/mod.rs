@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::spare::replaced;
 use crate::stage::{Clock, Stage, peak_memory_bytes};
 use crate::watch::{Control, Status, Watch, enter};
-use luxel_core::{DVec3, SparseRows, Warnings};
+use luxel_core::{DVec3, Facets, SparseRows, Warnings};
 use luxel_io::{FacetDocument, FacetOptions, FactorFormat, Precision, read_facets, write_factors};
 use luxel_transport::closure_repair::{ExchangeAreas, Repair, RepairSettings, repair_closure};
 use luxel_transport::facets::{Batch, ExchangeMatrix, FacetFactors, FacetSettings, Triplet};
@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use report::FactorsReport;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use zones::{Table, ZoneWishes, Zones};
+use zones::{Table, ZoneWishes, Zones, name_of};
 
 /// Rows that miss 1 by more than this on the mean, or a factor that would change by more than
 /// that share of itself, are no errors of closed scenes.
@@ -157,6 +157,10 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
             "--to-zones: expected zones as well, by --by or --group".into(),
         ));
     }
+    let doubt = zones.as_ref().and_then(|z| z.doubt(facets, job.zones.by));
+    if let Some(what) = doubt {
+        document.warnings.add(facets.name.clone(), what, 1);
+    }
     clock.end(Stage::Read);
     enter(watch, &Status::begin(Stage::Prepare))?;
     let settings = FacetSettings {
@@ -213,8 +217,9 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         let open = repair.before.mean > MOST_GAP || repair.largest_change > MOST_CHANGE;
         if repair.negative.is_some() || open {
             let (gap, row) = (repair.before.worst, repair.before.worst_at.unwrap_or(0));
+            let row = named_row(&document.facets, row as usize);
             let what = format!(
-                "closure is not repaired: the scene is not closed, row {row} misses 1 by {gap:.3}"
+                "closure is not repaired: the scene is not closed, {row} misses 1 by {gap:.3}"
             );
             document.warnings.add(document.facets.name.clone(), what, 1);
         } else {
@@ -223,9 +228,11 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         }
     }
     if report.row_sum_largest > 1.0 + MOST_ABOVE * asked.error {
+        let most = report.row_sum_largest;
+        let row = report.row_sum.iter().position(|&sum| sum == most);
+        let row = named_row(&document.facets, row.unwrap_or(0));
         let what = format!(
-            "a row sums to {:.4}: do facets lie in one another, or twice in one place?",
-            report.row_sum_largest
+            "{row} sums to {most:.4}: do facets lie in one another, or twice in one place?"
         );
         document.warnings.add(document.facets.name.clone(), what, 1);
     }
@@ -278,6 +285,24 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         complete,
         kept_in,
     })
+}
+
+/// A row in words, with the names that it has: `row 7 (facet 'sill', object 'window')`.
+fn named_row(facets: &Facets, row: usize) -> String {
+    let facet = &facets.rows[row];
+    let names = [
+        ("facet", &*facet.name),
+        ("object", name_of(&facets.objects, facet.object)),
+        ("material", name_of(&facets.materials, facet.material)),
+    ];
+    let named = names.iter().filter(|n| !n.1.is_empty());
+    let names: Vec<String> = named
+        .map(|(what, name)| format!("{what} '{name}'"))
+        .collect();
+    match names.is_empty() {
+        true => format!("row {row}"),
+        false => format!("row {row} ({})", names.join(", ")),
+    }
 }
 
 /// The option that does not go with a compressed matrix, if there is one.
