@@ -189,8 +189,8 @@ Examples:
 
 In Python: F = scipy.sparse.load_npz('room.factors.npz'); areas = numpy.load(...)['areas']
 
-Exit code: 0 done; 1 stopped (finished rows are written, no matrix with --compressed; --resume
-goes on); 2 failed.";
+Exit code: 0 done; 1 accuracy not met (all is written), or stopped (finished rows are written, no
+matrix with --compressed; --resume goes on); 2 failed.";
 
 /// `luxel factors`
 #[derive(Args, Debug)]

@@ -195,11 +195,25 @@ fn text_of(from: &str, memory: u64) -> Result<(&str, String), String> {
             read_bounded(std::io::stdin().lock(), memory),
         )
     } else {
-        let file = std::fs::File::open(from).map_err(|e| format!("{from}: {e}"))?;
-        (from, read_bounded(file, memory))
+        let file = std::fs::File::open(from).map_err(unreadable);
+        (from, file.and_then(|file| read_bounded(file, memory)))
     };
     let text = text.map_err(|e| format!("{place}: {e}"))?;
     Ok((place, text))
+}
+
+/// Why points cannot be read.
+fn unreadable(e: std::io::Error) -> String {
+    use std::io::ErrorKind::{InvalidData, IsADirectory, NotFound, PermissionDenied};
+    match e.kind() {
+        NotFound => "expected a file of points, found no such file".into(),
+        IsADirectory => "expected a file of points, found a folder".into(),
+        PermissionDenied => {
+            "expected a readable file of points, found one that may not be read".into()
+        }
+        InvalidData => "expected points as text, found something that is no UTF-8".into(),
+        _ => format!("expected a readable file of points, found: {e}"),
+    }
 }
 
 /// Points with normals in full precision.
@@ -258,7 +272,7 @@ fn factors(arguments: &Factors) -> Result<Outcome, String> {
             outcome.report.finished_rows
         ));
     }
-    Ok(Outcome::of(outcome.complete))
+    Ok(Outcome::of(outcome.complete && outcome.report.accuracy_met))
 }
 
 /// All of `source`, which may be as long as an eighth of the memory bound.
@@ -268,7 +282,7 @@ fn read_bounded(source: impl Read, memory: u64) -> Result<String, String> {
     source
         .take(most + 1)
         .read_to_string(&mut text)
-        .map_err(|e| e.to_string())?;
+        .map_err(unreadable)?;
     if text.len() as u64 > most {
         return Err(format!(
             "expected at most {} MB of points (an eighth of --memory), found more; give them in parts",

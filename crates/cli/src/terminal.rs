@@ -29,12 +29,25 @@ pub enum Progress {
     /// A bar on a terminal.
     Bar(ProgressBar),
     /// One line now and then.
-    Lines {
-        /// Stage of the last line.
-        stage: Option<Stage>,
-        /// When it was printed.
-        last: Instant,
-    },
+    Lines(Lines),
+}
+
+/// The last line: stage, percent, and when it was printed.
+#[derive(Default)]
+pub struct Lines(Option<(Stage, u64, Instant)>);
+
+impl Lines {
+    /// Whether there is something new to print: another stage, or another percent after a while.
+    fn due(&mut self, status: &Status, now: Instant) -> bool {
+        let percent = (100.0 * status.share).round() as u64;
+        let due = self.0.is_none_or(|(stage, last, when)| {
+            stage != status.stage || (percent != last && now - when > LINE_EVERY)
+        });
+        if due {
+            self.0 = Some((status.stage, percent, now));
+        }
+        due
+    }
 }
 
 impl Progress {
@@ -44,10 +57,7 @@ impl Progress {
             return Progress::Silent;
         }
         if !std::io::stderr().is_terminal() {
-            return Progress::Lines {
-                stage: None,
-                last: Instant::now(),
-            };
+            return Progress::Lines(Lines::default());
         }
         let bar = ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr());
         let style = ProgressStyle::with_template("{prefix:>12} [{bar:32}] {msg}")
@@ -66,11 +76,9 @@ impl Progress {
                 bar.set_position((status.share.clamp(0.0, 1.0) * 1000.0) as u64);
                 bar.set_message(words(status));
             }
-            Progress::Lines { stage, last } => {
-                if *stage != Some(status.stage) || last.elapsed() > LINE_EVERY {
+            Progress::Lines(lines) => {
+                if lines.due(status, Instant::now()) {
                     say(&format!("{:>12}: {}", status.stage.name(), words(status)));
-                    *stage = Some(status.stage);
-                    *last = Instant::now();
                 }
             }
         }
@@ -96,4 +104,27 @@ fn words(status: &Status) -> String {
         words += &format!(", {left:.0} s left");
     }
     words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_come_when_the_stage_or_after_a_while_the_percent_is_another() {
+        let (mut lines, start) = (Lines::default(), Instant::now());
+        let mut due = |stage, share, seconds| {
+            let status = Status {
+                share,
+                ..Status::begin(stage)
+            };
+            lines.due(&status, start + Duration::from_secs(seconds))
+        };
+        assert!(due(Stage::Read, 0.0, 0));
+        assert!(due(Stage::Factors, 0.0, 0));
+        assert!(!due(Stage::Factors, 0.45, 1), "too early");
+        assert!(due(Stage::Factors, 0.45, 5));
+        assert!(!due(Stage::Factors, 0.4549, 500), "the same percent");
+        assert!(due(Stage::Factors, 0.456, 501));
+    }
 }

@@ -158,7 +158,9 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
         "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 x\n",
     )
     .expect("a file");
-    let (scene, broken) = (scene.display().to_string(), broken.display().to_string());
+    let binary = folder.path().join("points.bin");
+    std::fs::write(&binary, [255, 254, 0]).expect("a file");
+    let [scene, broken, binary] = [scene, broken, binary].map(|p| p.display().to_string());
     for (arguments, said) in [
         (vec!["factors", &scene, "-o", "f.txt"], ".npz, .csv or .mtx"),
         (vec!["factors", &scene, "-o", &scene], ".npz"),
@@ -178,8 +180,24 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
             "no-such-folder/f.npz: could not be written",
         ),
         (vec!["factors", &scene, "--group", "a=nobody"], "'nobody'"),
+        (
+            vec!["factors", &scene, "--group", "rest=box"],
+            "--group rest=...: expected a name that no other zone has, found",
+        ),
         (vec!["factors", &scene, "--to-zones"], "--by or --group"),
         (vec!["factors", "missing.ply"], "missing.ply"),
+        (
+            vec!["factors", &scene, "--points", "missing.txt"],
+            "luxel: missing.txt: expected a file of points, found no such file",
+        ),
+        (
+            vec!["factors", &scene, "--points", "src"],
+            "luxel: src: expected a file of points, found a folder",
+        ),
+        (
+            vec!["factors", &scene, "--points", &binary],
+            "points.bin: expected points as text, found something that is no UTF-8",
+        ),
         (
             vec!["factors", &scene, "--error", "2"],
             "expected a number from",
@@ -220,6 +238,60 @@ fn zones_without_all_their_rows_are_marked() {
     let row = row.expect("a marked row");
     assert!(!row.contains("0.0000000"), "{shown}");
     assert!(shown.contains("not all rows of this zone"), "{shown}");
+}
+
+#[test]
+fn accuracy_that_is_not_met_is_said_and_ends_with_exit_code_1() {
+    // Two plates and three triangles in the air between them: pairs are given up at about 5e-7.
+    let text = "\
+v 0 0 0\nv 2 0 0\nv 2 2 0\nv 0 2 0\nv 0 0 1.2\nv 0 2 1.2\nv 2 2 1.2\nv 2 0 1.2
+v 0.7 1.1 0.5\nv 0.9 1.1 0.6\nv 0.8 1.3 0.5\nv 1.2 0.4 0.8\nv 1.4 0.5 0.7\nv 1.2 0.6 0.9
+v 1.0 1.0 0.3\nv 1.2 1.2 0.4\nv 1.1 1.1 0.6\nf 1 2 3 4\nf 5 6 7 8\nf 9 10 11\nf 12 13 14\nf 15 16 17
+";
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("plates.obj");
+    std::fs::write(&scene, text).expect("a scene");
+    let scene = scene.display().to_string();
+    let report = folder.path().join("plates.factors.json");
+    for (error, rows, code) in [
+        ("1e-4", "0..", Some(0)),
+        ("1e-8", "0..", Some(1)),
+        ("1e-8", "0", Some(1)),
+    ] {
+        let out = luxel(&["factors", &scene, "--error", error, "--rows", rows]);
+        let told = words(&out.stderr);
+        assert_eq!(out.status.code(), code, "{told}");
+        let report = std::fs::read(&report).expect("a report");
+        let report: serde_json::Value = serde_json::from_slice(&report).expect("JSON");
+        assert_eq!(report["accuracy_met"], code == Some(0));
+        assert_eq!(report["complete"], true);
+        let said = "warning: plates: accuracy not met: errors of a row together are stated";
+        assert_eq!(told.contains(said), code == Some(1), "{told}");
+    }
+}
+
+#[test]
+fn warnings_name_the_row_and_what_the_file_has_no_names_for() {
+    // A plate of 1 m under another, and a part of that a second time in the same place.
+    let text = "\
+v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 .01\nv 0 1 .01\nv 1 1 .01\nv 1 0 .01
+v 0.1 0.1 0.01\nv 0.1 0.9 0.01\nv 0.9 0.9 0.01\nv 0.9 0.1 0.01
+usemtl tin\nf 1 2 3 4\nf 5 6 7 8\nf 9 10 11 12
+";
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = folder.path().join("plates.obj");
+    std::fs::write(&scene, text).expect("a scene");
+    let scene = scene.display().to_string();
+    let out = luxel(&["factors", &scene, "--by", "object", "--enclosed"]);
+    let told = words(&out.stderr);
+    for said in [
+        "warning: plates: row 0 (material 'tin') sums to 1.",
+        "not closed, row 0 (material 'tin') misses 1 by",
+        "warning: plates: the file names no objects: all facets that no group names are one zone",
+    ] {
+        assert!(told.contains(said), "{told}");
+    }
+    assert!(!words(&luxel(&["factors", &scene, "--by", "material"]).stderr).contains("names no"));
 }
 
 /// SIGINT is what Ctrl-C sends.

@@ -110,7 +110,7 @@ fn probe_answers_in_the_order_given() {
 #[test]
 fn mistakes_end_in_one_line_and_exit_code_2() {
     let scene = scenes().join("cornell.glb").display().to_string();
-    let cases: [(&[&str], &str); 7] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["light", "absent.glb"], "absent.glb"),
         (&["inspect", "Cargo.toml"], ".toml"),
         (&["light", &scene, "--lamp", "800"], "--lamp"),
@@ -118,6 +118,9 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
         (&["light", &scene, "--view", "nowhere"], "nowhere"),
         (&["light", &scene, "--memory", "1MB"], "emory"),
         (&["light", &scene, "--error", "2parsecs"], "parsecs"),
+        (&["light"], "expected <SCENE>"),
+        (&["compare", &scene, "--mesh", "3d"], "--mesh"),
+        (&["brighten", &scene], "found 'brighten'"),
     ];
     for (arguments, told) in cases {
         let out = luxel(arguments);
@@ -125,6 +128,14 @@ fn mistakes_end_in_one_line_and_exit_code_2() {
         assert_eq!(out.status.code(), Some(2), "{arguments:?}: {message}");
         assert!(message.contains(told), "{arguments:?}: {message}");
         assert!(!message.contains("panicked"), "{message}");
+        let last = message.lines().last().expect("a line");
+        assert!(last.starts_with("luxel: ") && last.contains(told), "{last}");
+        assert!(!message.contains("Usage"), "{message}");
+    }
+    for shown in [&["--help"][..], &["--version"], &["factors", "--help"]] {
+        let out = luxel(shown);
+        assert_eq!(out.status.code(), Some(0), "{shown:?}");
+        assert!(out.stderr.is_empty() && !out.stdout.is_empty(), "{shown:?}");
     }
 }
 

@@ -12,26 +12,28 @@ pub enum Error {
     #[error("{0}")]
     Setting(String),
     /// A result could not be written.
-    #[error("{}: could not be written: {source}", path.display())]
+    #[error("{}: could not be written: {}", path.display(), luxel_io::plainly(source))]
     Write {
         /// File or folder.
         path: PathBuf,
         /// The system's answer.
         source: std::io::Error,
     },
-    /// Stopped by whoever watches before there was anything to show.
-    #[error("stopped before there was anything to show; nothing was written")]
-    Stopped,
-    /// The same, where work that is done is kept.
-    #[error("{}: could not be written: {why}; what is done is kept in {}, --resume goes on from there", path.display(), part.display())]
+    /// The same, where work is kept.
+    #[error("{}: could not be written: {}; {percent:.0} % of the work is kept in {}, --resume goes on from there", path.display(), luxel_io::plainly(source), part.display())]
     WriteKept {
         /// File.
         path: PathBuf,
-        /// What stood in the way.
-        why: String,
+        /// The system's answer.
+        source: std::io::Error,
         /// Where the work is.
         part: PathBuf,
+        /// How much of it, 0..=100.
+        percent: f64,
     },
+    /// Stopped by whoever watches before there was anything to show.
+    #[error("stopped before there was anything to show; nothing was written")]
+    Stopped,
     /// Stopped by whoever watches; no result is written, but the work that is done is kept.
     #[error("stopped at {percent:.0} %: no matrix is written, what is done is kept in {}; --resume goes on from there", part.display())]
     StoppedKept {
@@ -64,4 +66,13 @@ pub enum Error {
         /// Bound, 10^6 bytes.
         bound_mb: u64,
     },
+}
+
+impl From<luxel_io::WriteError> for Error {
+    fn from(error: luxel_io::WriteError) -> Self {
+        match error {
+            luxel_io::WriteError::System { path, source } => Error::Write { path, source },
+            other => Error::Setting(other.to_string()),
+        }
+    }
 }

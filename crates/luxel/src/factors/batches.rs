@@ -223,15 +223,46 @@ impl<T: Made> Found<T> {
         whole.then_some(&*self.path)
     }
 
-    /// The file that keeps some of it, if there is one.
-    pub(super) fn file_path(&self) -> Option<&Path> {
-        self.file.is_some().then_some(&*self.path)
-    }
-
     /// Keeps the rest as well where work is kept already: before what may fail.
     pub(super) fn keep_rest(&mut self, work: &FacetFactors) {
         if self.file.is_some() {
             self.keep(work);
+        }
+    }
+
+    /// Writes the result by `write`. If the disk is full and `spare` says that all work is in the
+    /// result, the file that keeps it makes room, and comes back if that does not help.
+    pub(super) fn write(
+        &mut self,
+        work: &FacetFactors,
+        spare: bool,
+        mut write: impl FnMut() -> Result<u64, WriteError>,
+    ) -> Result<u64, Error> {
+        let mut written = write();
+        if written.as_ref().is_err_and(is_full) && spare && self.file.is_some() {
+            self.remove()?;
+            written = write();
+            if written.is_err() {
+                self.keep(work);
+            }
+        }
+        written.map_err(|e| self.unwritten(work, e))
+    }
+
+    /// Why a file could not be written, and where the work is kept, if it is.
+    fn unwritten(&self, work: &FacetFactors, error: WriteError) -> Error {
+        match error {
+            WriteError::System { path, source } if self.file.is_some() => {
+                let kept: f64 = (0..self.kept).map(|b| work.share(b)).sum();
+                let total: f64 = (0..work.batches()).map(|b| work.share(b)).sum();
+                Error::WriteKept {
+                    path,
+                    source,
+                    part: self.path.clone(),
+                    percent: (100.0 * kept / total.max(f64::MIN_POSITIVE)).floor(),
+                }
+            }
+            other => other.into(),
         }
     }
 
@@ -244,8 +275,21 @@ impl<T: Made> Found<T> {
     }
 
     /// Deletes the file: the work is done.
-    pub(super) fn remove(&mut self) -> Result<(), WriteError> {
-        self.file.take().map_or(Ok(()), BatchFile::remove)
+    pub(super) fn remove(&mut self) -> Result<(), Error> {
+        self.kept = 0;
+        let removed = self.file.take().map_or(Ok(()), BatchFile::remove);
+        removed.map_err(Error::from)
+    }
+}
+
+/// Whether space is what a file lacked.
+fn is_full(error: &WriteError) -> bool {
+    use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+    match error {
+        WriteError::System { source, .. } => {
+            matches!(source.kind(), StorageFull | QuotaExceeded)
+        }
+        WriteError::Format { .. } => false,
     }
 }
 
@@ -377,5 +421,63 @@ fn counts_of(tally: &Tally) -> Counts {
         pieces,
         points,
         error: f64::from_bits(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use luxel_transport::facets::FacetSettings;
+    use std::io::{self, ErrorKind};
+
+    #[test]
+    fn on_a_full_disk_kept_work_makes_room_and_is_never_lost() {
+        let facets = luxel_scenes::floating_boxes(100);
+        let work = FacetFactors::new(&facets, &FacetSettings::default());
+        let folder = tempfile::tempdir().expect("a folder");
+        let part = folder.path().join("f.npz.part");
+        let all = || {
+            let mut found = Found::<Batch>::new(&part, 7);
+            for batch in 0..work.batches() {
+                found.add(work.compute(batch), &work);
+            }
+            found.keep(&work);
+            assert_eq!(found.kept_in(), Some(&*part));
+            found
+        };
+        all();
+        let kept = std::fs::read(&part).expect("there");
+        // Fails as long as `wanted` says, and notes whether the file was there.
+        let mut there = Vec::new();
+        let mut run = |spare: bool, kind: ErrorKind, fails: usize| {
+            there.clear();
+            let written = all().write(&work, spare, || {
+                there.push(part.exists());
+                match there.len() > fails {
+                    true => Ok(5),
+                    false => Err(WriteError::System {
+                        path: "f.npz".into(),
+                        source: io::Error::from(kind),
+                    }),
+                }
+            });
+            (written.map_err(|e| e.to_string()), there.clone())
+        };
+        let full = ErrorKind::StorageFull;
+        assert_eq!(run(true, full, 0), (Ok(5), vec![true]));
+        assert_eq!(run(true, full, 1), (Ok(5), vec![true, false]));
+        assert!(!part.exists());
+        for (spare, kind, tried) in [
+            (true, full, vec![true, false]),
+            (false, full, vec![true]),
+            (true, ErrorKind::PermissionDenied, vec![true]),
+        ] {
+            let (written, there) = run(spare, kind, 2);
+            assert_eq!(there, tried);
+            let told = written.expect_err("it fails");
+            assert!(told.starts_with("f.npz: could not be written: "), "{told}");
+            assert!(told.contains("; 100 % of the work is kept in "), "{told}");
+            assert!(std::fs::read(&part).expect("there") == kept);
+        }
     }
 }

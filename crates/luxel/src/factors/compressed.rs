@@ -5,7 +5,7 @@
 //! singly. A run that is stopped writes no matrix: a product with a part of it means nothing.
 
 use super::report::{CompressedReport, FactorsReport, MeasuredProduct};
-use super::{Asked, FactorsOutcome, batches, finish, unwritten};
+use super::{Asked, FactorsOutcome, batches, finish};
 use crate::error::Error;
 use crate::stage::{Clock, Stage};
 use crate::watch::{Status, Watch};
@@ -50,7 +50,12 @@ pub(super) fn compressed(
     }
     found.keep_rest(work);
     found.say(&mut document.warnings);
-    report.counts(&found.counts, &document.facets.areas());
+    let areas = document.facets.areas();
+    report.counts(&found.counts, &areas, &vec![true; areas.len()]);
+    if let Some(what) = report.doubt() {
+        document.warnings.add(document.facets.name.clone(), what, 1);
+    }
+    let whole = found.kept_in().is_some();
     let matrix = work.compressed(std::mem::take(&mut found.batches));
     // All is there: a stop from here on only hurries what is left.
     watch(&Status::begin(Stage::Measure));
@@ -58,12 +63,15 @@ pub(super) fn compressed(
     clock.end(Stage::Measure);
     watch(&Status::begin(Stage::Write));
     report.facets(&document.facets, &matrix.areas);
-    let written = write_compressed(output, &matrix.areas, matrix.part_rows(), matrix.pieces());
-    report.bytes = written.map_err(|e| unwritten(e, found.file_path()))?;
+    // The batches went into the matrix and cannot be kept again: a file of all work is as large and
+    // leaves room for it, one of less is not given away.
+    report.bytes = found.write(work, whole, || {
+        write_compressed(output, &matrix.areas, matrix.part_rows(), matrix.pieces())
+    })?;
     report.complete = true;
     report.finished_rows = matrix.areas.len();
+    found.remove()?;
     let report_path = finish(&mut report, &document.warnings, &mut clock, output)?;
-    found.remove().map_err(|e| unwritten(e, None))?;
     Ok(FactorsOutcome {
         output: output.to_owned(),
         report_path,

@@ -14,17 +14,15 @@ use crate::error::Error;
 use crate::spare::replaced;
 use crate::stage::{Clock, Stage, peak_memory_bytes};
 use crate::watch::{Control, Status, Watch, enter};
-use luxel_core::{DVec3, SparseRows, Warnings};
-use luxel_io::{
-    FacetDocument, FacetOptions, FactorFormat, Precision, WriteError, read_facets, write_factors,
-};
+use luxel_core::{DVec3, Facets, SparseRows, Warnings};
+use luxel_io::{FacetDocument, FacetOptions, FactorFormat, Precision, read_facets, write_factors};
 use luxel_transport::closure_repair::{ExchangeAreas, Repair, RepairSettings, repair_closure};
 use luxel_transport::facets::{Batch, ExchangeMatrix, FacetFactors, FacetSettings, Triplet};
 use rayon::prelude::*;
 use report::FactorsReport;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use zones::{Table, ZoneWishes, Zones};
+use zones::{Table, ZoneWishes, Zones, name_of};
 
 /// Rows that miss 1 by more than this on the mean, or a factor that would change by more than
 /// that share of itself, are no errors of closed scenes.
@@ -92,7 +90,7 @@ pub struct FactorsOutcome {
     pub report: FactorsReport,
     /// What was odd in the input.
     pub warnings: Warnings,
-    /// Whether all that was asked is there.
+    /// Whether all that was asked is there. How accurate it is, is in the report.
     pub complete: bool,
     /// Where work is kept that a later run can go on with.
     pub kept_in: Option<PathBuf>,
@@ -159,6 +157,10 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
             "--to-zones: expected zones as well, by --by or --group".into(),
         ));
     }
+    let doubt = zones.as_ref().and_then(|z| z.doubt(facets, job.zones.by));
+    if let Some(what) = doubt {
+        document.warnings.add(facets.name.clone(), what, 1);
+    }
     clock.end(Stage::Read);
     enter(watch, &Status::begin(Stage::Prepare))?;
     let settings = FacetSettings {
@@ -201,8 +203,11 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
     let precision = job.precision.unwrap_or(Precision::Double);
     let mut lost = vec![0.0; areas.len()];
     let mut matrix = assembled(&areas, &found.batches, job.threshold, &mut lost);
-    report.counts(&found.counts, &areas);
+    report.counts(&found.counts, &areas, &keep);
     report.before(&matrix, &keep, &lost);
+    if let Some(what) = report.doubt() {
+        document.warnings.add(document.facets.name.clone(), what, 1);
+    }
     if asked.enclosed && !(complete && asked.all_rows(areas.len())) {
         let what = "closure is not repaired: that takes all rows";
         document.warnings.add(document.facets.name.clone(), what, 1);
@@ -212,8 +217,9 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         let open = repair.before.mean > MOST_GAP || repair.largest_change > MOST_CHANGE;
         if repair.negative.is_some() || open {
             let (gap, row) = (repair.before.worst, repair.before.worst_at.unwrap_or(0));
+            let row = named_row(&document.facets, row as usize);
             let what = format!(
-                "closure is not repaired: the scene is not closed, row {row} misses 1 by {gap:.3}"
+                "closure is not repaired: the scene is not closed, {row} misses 1 by {gap:.3}"
             );
             document.warnings.add(document.facets.name.clone(), what, 1);
         } else {
@@ -222,9 +228,11 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         }
     }
     if report.row_sum_largest > 1.0 + MOST_ABOVE * asked.error {
+        let most = report.row_sum_largest;
+        let row = report.row_sum.iter().position(|&sum| sum == most);
+        let row = named_row(&document.facets, row.unwrap_or(0));
         let what = format!(
-            "a row sums to {:.4}: do facets lie in one another, or twice in one place?",
-            report.row_sum_largest
+            "{row} sums to {most:.4}: do facets lie in one another, or twice in one place?"
         );
         document.warnings.add(document.facets.name.clone(), what, 1);
     }
@@ -233,10 +241,12 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         matrix: &matrix,
         keep: &keep,
     };
-    let written = match &zones {
+    report.bytes = match &zones {
         None => {
             report.facets(facets, &areas);
-            write_factors(&output, &kept, &areas, precision)
+            found.write(&work, complete, || {
+                write_factors(&output, &kept, &areas, precision)
+            })?
         }
         Some(zones) => {
             let table = Table::of_zones(&kept, &areas, zones, !job.to_zones, &keep);
@@ -255,16 +265,17 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
             if job.to_zones {
                 report.facets(facets, &areas);
             }
-            write_factors(&output, &table, &row_areas, precision)
+            found.write(&work, complete, || {
+                write_factors(&output, &table, &row_areas, precision)
+            })?
         }
     };
-    report.bytes = written.map_err(|e| unwritten(e, found.file_path()))?;
     report.complete = complete;
     report.finished_rows = keep.iter().filter(|&&k| k).count();
-    let report_path = finish(&mut report, &document.warnings, &mut clock, &output)?;
     if complete {
-        found.remove().map_err(|e| unwritten(e, None))?;
+        found.remove()?;
     }
+    let report_path = finish(&mut report, &document.warnings, &mut clock, &output)?;
     let kept_in = found.kept_in().map(Path::to_owned);
     Ok(FactorsOutcome {
         output,
@@ -274,6 +285,24 @@ pub fn factors(job: &FactorsJob, watch: &mut Watch<'_>) -> Result<FactorsOutcome
         complete,
         kept_in,
     })
+}
+
+/// A row in words, with the names that it has: `row 7 (facet 'sill', object 'window')`.
+fn named_row(facets: &Facets, row: usize) -> String {
+    let facet = &facets.rows[row];
+    let names = [
+        ("facet", &*facet.name),
+        ("object", name_of(&facets.objects, facet.object)),
+        ("material", name_of(&facets.materials, facet.material)),
+    ];
+    let named = names.iter().filter(|n| !n.1.is_empty());
+    let names: Vec<String> = named
+        .map(|(what, name)| format!("{what} '{name}'"))
+        .collect();
+    match names.is_empty() {
+        true => format!("row {row}"),
+        false => format!("row {row} ({})", names.join(", ")),
+    }
 }
 
 /// The option that does not go with a compressed matrix, if there is one.
@@ -491,8 +520,7 @@ fn from_points(
     // A point has no area.
     let areas = vec![0.0; points.len()];
     let precision = job.precision.unwrap_or(Precision::Double);
-    let written = write_factors(output, &table, &areas, precision);
-    report.bytes = written.map_err(|e| unwritten(e, None))?;
+    report.bytes = write_factors(output, &table, &areas, precision)?;
     report.complete = complete;
     let report_path = finish(&mut report, &document.warnings, &mut clock, output)?;
     Ok(FactorsOutcome {
@@ -537,17 +565,4 @@ fn part_path(output: &Path) -> PathBuf {
 /// Where the report goes: `room.json`.
 fn report_path(output: &Path) -> PathBuf {
     output.with_extension("json")
-}
-
-/// Why a file could not be written, and where the work is kept, if it is.
-fn unwritten(error: WriteError, part: Option<&Path>) -> Error {
-    match (error, part) {
-        (WriteError::System { path, source }, Some(part)) => Error::WriteKept {
-            why: luxel_io::plainly(&source),
-            path,
-            part: part.to_owned(),
-        },
-        (WriteError::System { path, source }, None) => Error::Write { path, source },
-        (other, _) => Error::Setting(other.to_string()),
-    }
 }

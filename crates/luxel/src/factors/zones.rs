@@ -34,9 +34,13 @@ pub struct Zones {
 /// Name of what no group names.
 const REST: &str = "rest";
 
+/// Name of what the file gives no name.
+const UNNAMED: &str = "(unnamed)";
+
 impl Zones {
     /// The zones that are wished for; none without a wish. Rows that no group names make one
-    /// zone of their own, or stay in the zones of `by`.
+    /// zone of their own, or stay in the zones of `by`; a group with the name of one of these is
+    /// refused. Groups of one name are one.
     pub fn new(facets: &Facets, wishes: &ZoneWishes) -> Result<Option<Zones>, String> {
         if wishes.by.is_none() && wishes.groups.is_empty() {
             return Ok(None);
@@ -60,32 +64,47 @@ impl Zones {
                     .map_err(|e| format!("--group {wish}: {e}"))?;
             }
         }
+        let groups = zones.names.len();
         let mut by_name: HashMap<u32, u32> = HashMap::new();
         for row in 0..facets.rows.len() {
             if zones.of[row] != OPEN {
                 continue;
             }
             let facet = &facets.rows[row];
-            zones.of[row] = match wishes.by {
-                None => zones.named(REST),
-                Some(by) => {
-                    let (key, names) = match by {
-                        By::Object => (facet.object, &facets.objects),
-                        By::Material => (facet.material, &facets.materials),
-                    };
-                    match by_name.get(&key) {
-                        Some(&zone) => zone,
-                        None => {
-                            let name = names.get(key as usize).filter(|n| !n.is_empty());
-                            let zone = zones.named(name.map_or("(unnamed)", |n| n));
-                            by_name.insert(key, zone);
-                            zone
-                        }
-                    }
-                }
+            let (key, name) = match wishes.by {
+                None => (0, REST),
+                Some(By::Object) => (facet.object, name_of(&facets.objects, facet.object)),
+                Some(By::Material) => (facet.material, name_of(&facets.materials, facet.material)),
             };
+            zones.of[row] = match by_name.get(&key) {
+                Some(&zone) => zone,
+                None => zones.named(if name.is_empty() { UNNAMED } else { name }),
+            };
+            if (zones.of[row] as usize) < groups {
+                let name = &zones.names[zones.of[row] as usize];
+                return Err(format!(
+                    "--group {name}=...: expected a name that no other zone has, found that of the zone of row {row}, which is in no group"
+                ));
+            }
+            by_name.insert(key, zones.of[row]);
         }
         Ok(Some(zones))
+    }
+
+    /// What to say where the file has no names that zones could be made by.
+    pub fn doubt(&self, facets: &Facets, by: Option<By>) -> Option<&'static str> {
+        let (names, what) = match by? {
+            By::Object => (
+                &facets.objects,
+                "the file names no objects: all facets that no group names are one zone",
+            ),
+            By::Material => (
+                &facets.materials,
+                "the file names no materials: all facets that no group names are one zone",
+            ),
+        };
+        let unnamed = names.iter().all(String::is_empty);
+        (unnamed && self.names.iter().any(|n| n == UNNAMED)).then_some(what)
     }
 
     fn named(&mut self, name: &str) -> u32 {
@@ -164,6 +183,11 @@ impl Zones {
         }
         areas
     }
+}
+
+/// Name of an object or a material; empty if it has none.
+pub(super) fn name_of(names: &[String], index: u32) -> &str {
+    names.get(index as usize).map_or("", String::as_str)
 }
 
 /// Rows `a..b`, counted from 0, without b; `a..` to the end; `..b` from the first; `a` alone.
@@ -349,6 +373,42 @@ mod tests {
         assert_eq!(open.of, [1, 1, 0, 0]);
         let twice = zones(wish(None, &["x=a", "y=shell"])).unwrap_err();
         assert!(twice.contains("row 0 in 'x'"), "{twice}");
+        // Groups may take names of zones that nothing is left of, and go on in a second one.
+        for (by, groups) in [
+            (Some(By::Object), &["box=box,a"][..]),
+            (None, &["rest=shell,box"]),
+            (None, &["x=a", "x=b"]),
+        ] {
+            assert!(zones(wish(by, groups)).is_ok(), "{groups:?}");
+        }
+        for (by, group) in [
+            (None, "rest=a"),
+            (Some(By::Object), "box=a"),
+            (Some(By::Material), "black=b"),
+        ] {
+            let told = zones(wish(by, &[group])).unwrap_err();
+            let name = group.split_once('=').unwrap().0;
+            let said = format!("--group {name}=...: expected a name that no other zone has");
+            assert!(told.starts_with(&said), "{told}");
+        }
+    }
+
+    #[test]
+    fn files_without_names_are_told() {
+        let mut facets = facets();
+        let said = |facets: &Facets, by, groups: Vec<String>| {
+            let zones = Zones::new(facets, &ZoneWishes { by, groups });
+            zones.unwrap().unwrap().doubt(facets, by)
+        };
+        let by = Some(By::Material);
+        assert_eq!(said(&facets, by, vec![]), None);
+        facets.materials = vec![String::new(); 2];
+        let told = said(&facets, by, vec![]).unwrap();
+        assert!(told.starts_with("the file names no materials"), "{told}");
+        assert_eq!(said(&facets, by, vec!["all=0..".into()]), None);
+        assert_eq!(said(&facets, Some(By::Object), vec![]), None);
+        facets.materials[1] = "black".into();
+        assert_eq!(said(&facets, by, vec![]), None, "two zones");
     }
 
     #[test]
