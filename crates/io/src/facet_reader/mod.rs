@@ -376,7 +376,7 @@ impl Oddities {
             ),
             (
                 self.crossed,
-                "facets whose outlines cross themselves take all that these go round; the first is here",
+                "facets whose outlines cross themselves were cut as they are; the first is here",
             ),
             (
                 self.cancelled,

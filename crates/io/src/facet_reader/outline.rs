@@ -1,9 +1,10 @@
-//! A flat ring of corners that may touch, retrace or cross itself, into triangles.
+//! A flat ring of corners that may touch or retrace itself, into triangles.
 //!
 //! A constrained Delaunay triangulation of the ring's edges (crate spade, whose predicates are
 //! exact); a triangle belongs to the facet where the ring goes round it (winding number not 0
 //! [Sunday21]). So a spike encloses nothing, rings that touch at a corner enclose both, a hole on a
-//! bridge stays open, and what is gone round twice counts once.
+//! bridge stays open, and what is gone round twice counts once. Edges that cross are not taken:
+//! where they do is rounded, and the triangulation may then go on for ever.
 
 use crate::obj_reader::polygon::area_vector;
 use luxel_core::DVec3;
@@ -16,18 +17,15 @@ const ROUNDING: f64 = 1e-12;
 /// What a ring encloses.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Enclosed {
-    /// Corners: those of the ring in its order, then where its edges cross.
-    pub points: Vec<DVec3>,
-    /// Counter-clockwise about the normal, as positions in `points`.
+    /// Counter-clockwise about the normal, as positions in the ring.
     pub triangles: Vec<[usize; 3]>,
-    /// The ring goes round some part backwards or more than once, as it does where it crosses itself.
+    /// The ring goes round some part backwards or more than once.
     pub crossed: bool,
 }
 
 /// What `ring` encloses in the plane with the unit `normal`; `size`: of the ring, above 0.
 ///
-/// `None` where the triangulation breaks off or misses the ring's area: crossings are rounded, and
-/// hundreds of them within rounding of each other can tangle it.
+/// `None` where edges cross, or the triangles miss the ring's area.
 pub(super) fn enclosed(ring: &[DVec3], normal: DVec3, size: f64) -> Option<Enclosed> {
     let (along, across) = normal.any_orthonormal_pair();
     // `any_orthonormal_pair` is right-handed with the normal: along x across = normal.
@@ -49,15 +47,13 @@ pub(super) fn enclosed(ring: &[DVec3], normal: DVec3, size: f64) -> Option<Enclo
         }
         for k in 0..vertices.len() {
             let (a, b) = (vertices[k], vertices[(k + 1) % vertices.len()]);
-            if a != b {
-                cdt.add_constraint_and_split(a, b, |q| q);
+            if a == b {
+                continue;
             }
-        }
-        let mut points = ring.to_vec();
-        for v in cdt.vertices().skip(first_here.len()) {
-            let q = v.position();
-            first_here.push(points.len());
-            points.push(ring[0] + size * (q.x * along + q.y * across));
+            if !cdt.can_add_constraint(a, b) {
+                return None;
+            }
+            cdt.add_constraint(a, b);
         }
         let mut crossed = false;
         let mut gone_round = 0.0;
@@ -72,11 +68,8 @@ pub(super) fn enclosed(ring: &[DVec3], normal: DVec3, size: f64) -> Option<Enclo
             }
         }
         let wanted = area_vector(ring).dot(normal) / (size * size);
-        ((gone_round - wanted).abs() < ROUNDING * ring.len() as f64).then_some(Enclosed {
-            points,
-            triangles,
-            crossed,
-        })
+        ((gone_round - wanted).abs() < ROUNDING * ring.len() as f64)
+            .then_some(Enclosed { triangles, crossed })
     }));
     worked_out.ok().flatten()
 }

@@ -121,8 +121,8 @@ pub(super) fn convex_parts(ring: &[DVec3], tolerance: Tolerance) -> Result<Cut, 
         return Ok(cut);
     };
     cut.crossed = inside.crossed;
-    for piece in merged(&inside.points, normal, inside.triangles) {
-        let corners = piece.into_iter().map(|k| inside.points[k]);
+    for piece in merged(&p, normal, inside.triangles) {
+        let corners = piece.into_iter().map(|k| p[k]);
         push_part(&mut cut.parts, corners, tolerance.grain);
     }
     Ok(cut)
