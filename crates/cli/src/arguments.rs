@@ -34,7 +34,7 @@ pub struct Arguments {
 /// The commands.
 #[derive(Subcommand, Debug)]
 pub enum Command {
-    /// Light a scene: writes SCENE.lit/ with scene.glb, preview.png, report.json and the solution
+    /// Light a scene: writes SCENE.lit/ with scene.glb, lightmaps, preview.png, report.json and the solution
     Light(Light),
     /// Illuminance at points, with its standard error, as tab-separated lines
     Probe(Probe),
@@ -143,6 +143,12 @@ pub struct Light {
     /// Folder to write (default: SCENE.lit beside the scene)
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
+    /// Metres from texel to texel of the lightmaps, as 5cm (default: 5 cm, or more in large scenes)
+    #[arg(long, value_name = "LENGTH", value_parser = units::edge_m)]
+    pub texel: Option<f64>,
+    /// No lightmaps: the light is in the vertices alone
+    #[arg(long, conflicts_with = "texel")]
+    pub no_lightmap: bool,
     /// Go on from the solution in the output folder
     #[arg(long)]
     pub resume: bool,

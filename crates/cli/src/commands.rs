@@ -105,7 +105,11 @@ fn light(arguments: &Light) -> Result<Outcome, String> {
         output: arguments.output.clone(),
         resume: arguments.resume,
         view: arguments.view.clone(),
-        settings: settings(&arguments.scene, Some(&arguments.solve), &arguments.common),
+        settings: luxel::Settings {
+            lightmap: !arguments.no_lightmap,
+            texel_m: arguments.texel,
+            ..settings(&arguments.scene, Some(&arguments.solve), &arguments.common)
+        },
     };
     let outcome = luxel::light(&job, &mut |status| watch(&mut progress, &stop, status));
     progress.end();

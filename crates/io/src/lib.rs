@@ -31,7 +31,8 @@ pub mod repair;
 pub mod scene_ops;
 pub mod solution_file;
 mod uri;
-pub mod write_factors;
+pub mod write_exr;
+mod write_factors;
 pub mod write_gltf;
 
 pub use atomic::write as write_atomic;
@@ -41,5 +42,6 @@ pub use error::{Error, Place, WriteError, plainly};
 pub use facet_reader::{FacetDocument, FacetKind, FacetOptions, read_facets, read_facets_bytes};
 pub use options::{Back, ReadOptions, Up};
 pub use solution_file::{StoredSolution, fingerprint, read_solution, write_solution};
+pub use write_exr::write_exr;
 pub use write_factors::{FactorFormat, Precision, write_compressed, write_factors};
 pub use write_gltf::{LitPrimitive, LitScale, lit_glb, write_lit_glb};

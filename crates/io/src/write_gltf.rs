@@ -4,7 +4,8 @@
 //! reflectance x COLOR_0 without a lamp of its own: COLOR_0 = illuminance x exposure, linear,
 //! 16 bits, clipped to 0..1 as the format demands. Emitters show their luminance on the same
 //! scale. The illuminance itself, unclipped in lux, stands in the attribute `_IRRADIANCE`, and
-//! `asset.extras.luxel` says how the two belong together.
+//! `asset.extras.luxel` says how the two belong together. With a lightmap, `TEXCOORD_1` reads its pages,
+//! which are files beside this one.
 //!
 //! Geometry is in world space and metres, one node and one mesh for each surface, one primitive
 //! for each side that is lit. Sides that are black and surfaces of clear glass are written so
@@ -42,6 +43,10 @@ pub struct LitPrimitive<'a> {
     pub normals: &'a [Vec3],
     /// Texture coordinates, as in [`Scene::uvs`].
     pub uvs: &'a [Vec2],
+    /// Texture coordinates on a page of the lightmap; empty when there is none.
+    pub texels: &'a [Vec2],
+    /// The page of the lightmap.
+    pub page: u32,
     /// Illuminance in linear bands, lux.
     pub irradiance: &'a [Rgb],
     /// Corners.
@@ -50,11 +55,13 @@ pub struct LitPrimitive<'a> {
     pub first_vertex: u32,
 }
 
-/// How illuminance becomes a vertex colour.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How illuminance becomes a vertex colour, and where it is as texels.
+#[derive(Clone, Debug, PartialEq)]
 pub struct LitScale {
     /// COLOR_0 for each lux.
     pub colour_per_lux: f32,
+    /// Files of the lightmap's pages, by name, with their width and height.
+    pub pages: Vec<(String, [u32; 2])>,
 }
 
 /// Writes the lit scene as a GLB file, whole or not at all.
@@ -87,6 +94,9 @@ pub fn lit_glb(
             fresh
         }
     };
+    let pages: Vec<Value> = (scale.pages.iter())
+        .map(|(file, [w, h])| json!({ "file": file, "width": w, "height": h }))
+        .collect();
     let scale = if scale.colour_per_lux.is_finite() && scale.colour_per_lux > 0.0 {
         scale.colour_per_lux
     } else {
@@ -96,13 +106,20 @@ pub fn lit_glb(
     if scene.up.z > 0.9 {
         base.turn_z_up();
     }
-    base.note(json!({
+    let mut note = json!({
         "exposure": scale,
         "scale": 1.0 / scale,
         "unit": "COLOR_0 x scale = illuminance in lux, where COLOR_0 is below 1",
         "irradiance": "_IRRADIANCE is the illuminance in lux, linear RGB (Rec. 709 primaries)",
         "shown": "baseColor x COLOR_0 = reflectance x illuminance x exposure",
-    }));
+    });
+    if !pages.is_empty() {
+        note["lightmaps"] = pages.into();
+        note["lightmap"] = "TEXCOORD_1 reads the page that extras.luxel.lightmap of the primitive \
+                            names: illuminance in lux, linear RGB, first row at the top"
+            .into();
+    }
+    base.note(note);
     base.into_glb()
 }
 
@@ -135,17 +152,19 @@ struct Views {
     positions: Vec<u8>,
     normals: Vec<u8>,
     uvs: Vec<u8>,
+    texels: Vec<u8>,
     colours: Vec<u8>,
     irradiance: Vec<u8>,
     indices: Vec<u8>,
 }
 
-/// Which of the six views an accessor reads; the order in which they are added.
+/// Which of the seven views an accessor reads; the order in which they are added.
 #[derive(Clone, Copy)]
 enum View {
     Positions,
     Normals,
     Uvs,
+    Texels,
     Colours,
     Irradiance,
     Indices,
@@ -169,7 +188,7 @@ impl<'a> Writer<'a> {
         for p in lit {
             sides[p.surface.index()].push(p);
         }
-        let first_view = self.base.reserve_views(6);
+        let first_view = self.base.reserve_views(7);
         for (k, sides) in sides.iter().enumerate() {
             let mut primitives = Vec::new();
             for p in sides {
@@ -197,6 +216,7 @@ impl<'a> Writer<'a> {
             (v.positions, Some(12), 34962),
             (v.normals, Some(12), 34962),
             (v.uvs, Some(8), 34962),
+            (v.texels, Some(8), 34962),
             (v.colours, Some(8), 34962),
             (v.irradiance, Some(12), 34962),
             (v.indices, None, 34963),
@@ -230,16 +250,21 @@ impl<'a> Writer<'a> {
         } else {
             &[]
         };
-        Some(self.mesh(
+        let mut mesh = self.mesh(
             first_view,
             p.positions,
             p.normals,
             uvs,
+            p.texels,
             &colours,
             p.irradiance,
             triangles,
             material,
-        ))
+        );
+        if !p.texels.is_empty() {
+            mesh["extras"] = json!({ "luxel": { "lightmap": p.page } });
+        }
+        Some(mesh)
     }
 
     /// A surface of which no side is lit: its front, black, or as glass.
@@ -278,6 +303,7 @@ impl<'a> Writer<'a> {
             &positions,
             &normals,
             &uvs,
+            &[],
             &colours,
             &irradiance,
             triangles,
@@ -424,6 +450,7 @@ impl<'a> Writer<'a> {
         positions: &[Vec3],
         normals: &[Vec3],
         uvs: &[Vec2],
+        texels: &[Vec2],
         colours: &[Rgb],
         irradiance: &[Rgb],
         triangles: impl Iterator<Item = [u32; 3]>,
@@ -437,6 +464,7 @@ impl<'a> Writer<'a> {
             &v.positions,
             &v.normals,
             &v.uvs,
+            &v.texels,
             &v.colours,
             &v.irradiance,
             &v.indices,
@@ -450,11 +478,13 @@ impl<'a> Writer<'a> {
             // Viewers and validators want units, whatever rounding left.
             put(&mut v.normals, &normal.normalize_or(Vec3::Y).to_array());
         }
-        for &uv in uvs {
-            put(
-                &mut v.uvs,
-                &uv.to_array().map(|c| if c.is_finite() { c } else { 0.0 }),
-            );
+        for (out, list) in [(&mut v.uvs, uvs), (&mut v.texels, texels)] {
+            for uv in list {
+                put(
+                    out,
+                    &uv.to_array().map(|c| if c.is_finite() { c } else { 0.0 }),
+                );
+            }
         }
         for &c in colours {
             let c = (c * self.scale).map(|b| if b.is_finite() { b.max(0.0) } else { 0.0 });
@@ -505,15 +535,21 @@ impl<'a> Writer<'a> {
         if uvs.len() == n {
             attribute("TEXCOORD_0", accessor(View::Uvs, start[2], 5126, "VEC2", n));
         }
+        if texels.len() == n {
+            attribute(
+                "TEXCOORD_1",
+                accessor(View::Texels, start[3], 5126, "VEC2", n),
+            );
+        }
         attribute(
             "COLOR_0",
-            accessor(View::Colours, start[3], 5123, "VEC4", n),
+            accessor(View::Colours, start[4], 5123, "VEC4", n),
         );
         attribute(
             "_IRRADIANCE",
-            accessor(View::Irradiance, start[4], 5126, "VEC3", n),
+            accessor(View::Irradiance, start[5], 5126, "VEC3", n),
         );
-        let indices = accessor(View::Indices, start[5], 5125, "SCALAR", corners);
+        let indices = accessor(View::Indices, start[6], 5125, "SCALAR", corners);
         json!({ "attributes": attributes, "indices": indices, "material": material })
     }
 }

@@ -9,6 +9,7 @@ pub mod error;
 pub mod factors;
 pub mod inspect;
 pub mod light;
+mod lightmap;
 mod matter;
 pub mod points;
 pub mod probe;

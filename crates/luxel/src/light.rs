@@ -1,10 +1,11 @@
 //! The main job: light a scene file and write everything that comes of it.
 //!
-//! `SCENE.lit/` holds `scene.glb`, `preview.png`, `report.json` and `solution.luxel`. Each file
+//! `SCENE.lit/` holds `scene.glb`, `lightmap-0.exr`, `preview.png`, `report.json` and `solution.luxel`. Each file
 //! is written beside its place and moved there, so at any moment what is there is whole.
 
 use crate::energy::energy;
 use crate::error::Error;
+use crate::lightmap;
 use crate::session::Session;
 use crate::settings::Settings;
 use crate::sites::Sites;
@@ -12,12 +13,12 @@ use crate::spare::replaced;
 use crate::stage::{Stage, peak_memory_bytes};
 use crate::watch::{Status, Watch, enter};
 use crate::work::{self, End, Gathering, Rest};
-use luxel_core::{Rgb, Solution, View};
+use luxel_core::{Rgb, Solution, Vec2, Vec3, View};
 use luxel_io::{LitPrimitive, LitScale, StoredSolution};
 use luxel_visualise::preview::render;
 use luxel_visualise::report::{self, Report, State};
 use luxel_visualise::tone::linear_scale;
-use luxel_visualise::{Exposure, LitMesh, LitPart, PreviewSettings};
+use luxel_visualise::{Charts, Exposure, Lightmap, LitMesh, LitPart, PreviewSettings, Texels};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -124,6 +125,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
         session.clock_mut().end(Stage::Mesh);
     }
+    let mut atlas = None;
     let (rays, gathered) = match solved {
         // Stopped by the user, not by the clock.
         End::Stopped if job.settings.time.is_none() => {
@@ -131,19 +133,49 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
             mesh.set_light(values, errors);
             (0, End::Stopped)
         }
+        _ if job.settings.lightmap => {
+            let charts = lightmap::charts(&session);
+            session.clock_mut().end(Stage::Mesh);
+            match charts {
+                Some(charts) => {
+                    let of_vertex = charts.lay_over(session.front(), &mut mesh);
+                    let most_rays = MOST_RAYS * 0.05 / job.settings.error;
+                    let made = lightmap::light(&session, &solution, &charts, most_rays, watch);
+                    made.lightmap.light(&charts, &of_vertex, &mut mesh);
+                    let answer = (made.rays, made.end);
+                    atlas = Some(Atlas {
+                        charts,
+                        of_vertex,
+                        lightmap: made.lightmap,
+                    });
+                    answer
+                }
+                None => gather(&session, &solution, &mut mesh, watch),
+            }
+        }
         _ => gather(&session, &solution, &mut mesh, watch),
     };
     session.clock_mut().end(Stage::Gather);
 
     watch(&Status::begin(Stage::Write));
     let stopped = solved == End::Stopped || gathered == End::Stopped;
-    let exposure = write_picture(&session, &mesh, &view, &PreviewSettings::default(), &folder)?;
-    write_lit_scene(&session, &mesh, &folder.join(LIT_SCENE))?;
+    let texels = atlas.as_ref().map(Atlas::texels);
+    let settings = PreviewSettings::default();
+    let exposure = write_picture(&session, &mesh, texels.as_ref(), &view, &settings, &folder)?;
+    let pages = write_pages(atlas.as_ref(), &folder)?;
+    write_lit_scene(
+        &session,
+        &mesh,
+        atlas.as_ref(),
+        pages,
+        &folder.join(LIT_SCENE),
+    )?;
     let report = make_report(
         job,
         &mut session,
         &solution,
         &mesh,
+        atlas.as_ref(),
         rays,
         &exposure,
         stopped,
@@ -224,7 +256,10 @@ fn sites(mesh: &LitMesh, most_rays: f64) -> Sites {
 
 /// No file that is written may be one that was read: the scene, its buffers and pictures.
 fn spare_the_scene(read: &[PathBuf], folder: &Path) -> Result<(), Error> {
-    let written = [LIT_SCENE, PREVIEW, REPORT, SOLUTION].map(|name| folder.join(name));
+    let mut written = [LIT_SCENE, PREVIEW, REPORT, SOLUTION]
+        .map(|name| folder.join(name))
+        .to_vec();
+    written.extend((0..lightmap::MOST_PAGES).map(|k| folder.join(page_name(k))));
     match replaced(read, &written) {
         None => Ok(()),
         Some(path) => Err(Error::Setting(format!(
@@ -286,7 +321,7 @@ fn first_picture(
         height,
         ..PreviewSettings::default()
     };
-    let written = write_picture(session, mesh, view, &first, folder);
+    let written = write_picture(session, mesh, None, view, &first, folder);
     session.clock_mut().end(Stage::Write);
     written.map(|_| ())
 }
@@ -295,11 +330,12 @@ fn first_picture(
 fn write_picture(
     session: &Session,
     mesh: &LitMesh,
+    texels: Option<&Texels<'_>>,
     view: &View,
     settings: &PreviewSettings,
     folder: &Path,
 ) -> Result<Exposure, Error> {
-    let (picture, exposure) = render(session.scene(), mesh, view, settings);
+    let (picture, exposure) = render(session.scene(), mesh, texels, view, settings);
     let path = folder.join(PREVIEW);
     let png = picture.png().map_err(|e| Error::Write {
         path: path.clone(),
@@ -337,14 +373,77 @@ fn fingerprint(session: &Session, settings: &Settings) -> u64 {
     )
 }
 
-fn write_lit_scene(session: &Session, mesh: &LitMesh, path: &Path) -> Result<(), Error> {
+/// The lightmap of a mesh.
+struct Atlas {
+    charts: Charts,
+    /// Chart of each vertex.
+    of_vertex: Vec<u32>,
+    lightmap: Lightmap,
+}
+
+impl Atlas {
+    fn texels(&self) -> Texels<'_> {
+        Texels {
+            charts: &self.charts,
+            lightmap: &self.lightmap,
+            of_vertex: &self.of_vertex,
+        }
+    }
+}
+
+/// Writes the pages of the lightmap; those of an earlier run that are not written anew are removed,
+/// as they do not belong to the scene. Answers with their names and sizes.
+fn write_pages(atlas: Option<&Atlas>, folder: &Path) -> Result<Vec<(String, [u32; 2])>, Error> {
+    let sizes = atlas.map_or(&[][..], |a| a.charts.pages());
+    let mut written = Vec::new();
+    for (k, &size) in sizes.iter().enumerate() {
+        let name = page_name(k);
+        let path = folder.join(&name);
+        let texels = atlas.map(|a| a.lightmap.page(&a.charts, k as u32));
+        luxel_io::write_exr(&path, size, &texels.unwrap_or_default())
+            .map_err(|source| Error::Write { path, source })?;
+        written.push((name, size));
+    }
+    for k in sizes.len()..lightmap::MOST_PAGES {
+        // None to remove is the usual case.
+        let _ = std::fs::remove_file(folder.join(page_name(k)));
+    }
+    Ok(written)
+}
+
+fn page_name(page: usize) -> String {
+    format!("lightmap-{page}.exr")
+}
+
+fn write_lit_scene(
+    session: &Session,
+    mesh: &LitMesh,
+    atlas: Option<&Atlas>,
+    pages: Vec<(String, [u32; 2])>,
+    path: &Path,
+) -> Result<(), Error> {
+    let uv = |(&p, &chart): (&Vec3, &u32)| atlas.map_or(Vec2::ZERO, |a| a.charts.uv_of(chart, p));
+    let texels: Vec<Vec2> = match atlas {
+        Some(a) => mesh.positions.iter().zip(&a.of_vertex).map(uv).collect(),
+        None => Vec::new(),
+    };
+    let page_of = |t: &[u32; 3]| atlas.map_or(0, |a| a.charts.page_of(a.of_vertex[t[0] as usize]));
     let primitives: Vec<LitPrimitive<'_>> = mesh
         .parts
         .iter()
-        .map(|part| lit_primitive(mesh, part))
+        .flat_map(|part| {
+            let run = part.triangles.start as usize..part.triangles.end as usize;
+            let by_page = mesh.triangles[run].chunk_by(|a, b| page_of(a) == page_of(b));
+            by_page.map(move |triangles| (part, triangles))
+        })
+        .map(|(part, triangles)| LitPrimitive {
+            page: page_of(&triangles[0]),
+            ..lit_primitive(mesh, part, triangles, &texels)
+        })
         .collect();
     let scale = LitScale {
         colour_per_lux: linear_scale(mesh),
+        pages,
     };
     luxel_io::write_lit_glb(session.scene(), session.source(), &primitives, &scale, path).map_err(
         |source| Error::Write {
@@ -354,7 +453,12 @@ fn write_lit_scene(session: &Session, mesh: &LitMesh, path: &Path) -> Result<(),
     )
 }
 
-fn lit_primitive<'a>(mesh: &'a LitMesh, part: &LitPart) -> LitPrimitive<'a> {
+fn lit_primitive<'a>(
+    mesh: &'a LitMesh,
+    part: &LitPart,
+    triangles: &'a [[u32; 3]],
+    texels: &'a [Vec2],
+) -> LitPrimitive<'a> {
     let vertices = part.vertices.start as usize..part.vertices.end as usize;
     LitPrimitive {
         surface: part.surface,
@@ -362,8 +466,10 @@ fn lit_primitive<'a>(mesh: &'a LitMesh, part: &LitPart) -> LitPrimitive<'a> {
         positions: &mesh.positions[vertices.clone()],
         normals: &mesh.normals[vertices.clone()],
         uvs: mesh.uvs.get(vertices.clone()).unwrap_or(&[]),
+        texels: texels.get(vertices.clone()).unwrap_or(&[]),
+        page: 0,
         irradiance: &mesh.irradiance[vertices],
-        triangles: &mesh.triangles[part.triangles.start as usize..part.triangles.end as usize],
+        triangles,
         first_vertex: part.vertices.start,
     }
 }
@@ -373,6 +479,7 @@ fn make_report(
     session: &mut Session,
     solution: &Solution,
     mesh: &LitMesh,
+    atlas: Option<&Atlas>,
     gather_rays: u64,
     exposure: &Exposure,
     stopped: bool,
@@ -419,6 +526,8 @@ fn make_report(
             surfaces: session.scene().surfaces.len() as u64,
             elements: session.front().len() as u64,
             vertices: mesh.positions.len() as u64,
+            texels: atlas.map_or(0, |a| a.charts.used() as u64),
+            texels_asked: atlas.map_or(0, |a| a.lightmap.asked() as u64),
             solver_work: solution.work,
             gather_rays,
             steps: progress.step as u64,

@@ -28,6 +28,10 @@ pub struct Settings {
     pub elements: Option<usize>,
     /// Largest edge of an element, metres; `None` follows from the number of elements.
     pub element_edge_m: Option<f64>,
+    /// Whether `light` makes lightmaps.
+    pub lightmap: bool,
+    /// Metres from texel to texel of lightmaps; `None` chooses by the scene.
+    pub texel_m: Option<f64>,
     /// Most memory, bytes.
     pub memory: u64,
     /// Seed of every random number.
@@ -48,6 +52,8 @@ impl Default for Settings {
             time: None,
             elements: None,
             element_edge_m: None,
+            lightmap: true,
+            texel_m: None,
             memory: 4_000_000_000,
             seed: 1,
         }
@@ -65,6 +71,8 @@ impl Settings {
             "solver": self.solver.name(),
             "elements": self.elements,
             "element_edge_m": self.element_edge_m,
+            "lightmap": self.lightmap,
+            "texel_m": self.texel_m,
             "lamps": self.lamps,
             "emit": self.emit,
             "sky": self.sky,

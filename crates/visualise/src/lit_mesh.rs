@@ -20,6 +20,7 @@ use luxel_core::{Front, Rgb, Scene, Shape, Side, SurfaceId, Vec2, Vec3};
 use luxel_gather::Receiver;
 use luxel_transport::RayCaster;
 use rayon::prelude::*;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
 /// Longest edge drawn without a vertex in between, in edges of a mean element: those of right
@@ -59,6 +60,8 @@ pub struct LitMesh {
     pub errors: Vec<f32>,
     /// Corners of each triangle, counter-clockwise seen from the lit side.
     pub triangles: Vec<[u32; 3]>,
+    /// A source triangle of the patch that each triangle lies in; of a cluster the one that it is.
+    pub sources: Vec<u32>,
     /// Surface sides, by ascending surface, front before back.
     pub parts: Vec<LitPart>,
     /// First of the two triangles of each plain quadrilateral element: its diagonal is free.
@@ -127,12 +130,15 @@ impl LitMesh {
                 self.uvs.push(v.uv);
             }
         }
-        let single = part.facets.iter().chain(&part.triangles);
-        self.triangles.extend(single.map(|t| t.map(|i| i + vertex)));
+        for t in part.facets.iter().chain(&part.triangles) {
+            self.triangles.push(t.corners.map(|i| i + vertex));
+            self.sources.push(t.source);
+        }
         for q in &part.quads {
-            let [a, b, c, d] = q.map(|i| i + vertex);
+            let [a, b, c, d] = q.corners.map(|i| i + vertex);
             self.quads.push(self.triangles.len() as u32);
             self.triangles.extend([[a, b, c], [a, c, d]]);
+            self.sources.extend([q.source; 2]);
         }
         self.parts.push(LitPart {
             surface: patch.surface,
@@ -140,6 +146,59 @@ impl LitMesh {
             vertices: vertex..self.positions.len() as u32,
             triangles: triangle..self.triangles.len() as u32,
         });
+    }
+
+    /// Divides vertices that lie in several charts, and orders the triangles of each part by page.
+    /// Answers with the chart of each vertex. `chart_of` knows the chart at one side of a source
+    /// triangle, `page_of` the page of a chart.
+    ///
+    /// The light of the vertices is not kept.
+    pub fn divide(
+        &mut self,
+        chart_of: impl Fn(u32, Side) -> u32,
+        page_of: impl Fn(u32) -> u32,
+    ) -> Vec<u32> {
+        let old = std::mem::take(self);
+        let mut charts = Vec::with_capacity(old.positions.len());
+        let is_quad: HashSet<u32> = old.quads.iter().copied().collect();
+        self.first_around.push(0);
+        (self.elements, self.mean_edge_m) = (old.elements, old.mean_edge_m);
+        for part in &old.parts {
+            let (vertex, triangle) = (self.positions.len() as u32, self.triangles.len() as u32);
+            let mut known: HashMap<(u32, u32), u32> = HashMap::new();
+            let chart = |t: &u32| chart_of(old.sources[*t as usize], part.side);
+            let mut order: Vec<u32> = part.triangles.clone().collect();
+            // Both triangles of a quadrilateral are of one patch, so they stay together.
+            order.sort_by_key(|t| page_of(chart(t)));
+            for &t in &order {
+                let chart = chart(&t);
+                let corners = old.triangles[t as usize].map(|v| {
+                    *known.entry((v, chart)).or_insert_with(|| {
+                        let v = v as usize;
+                        self.positions.push(old.positions[v]);
+                        self.normals.push(old.normals[v]);
+                        self.uvs.extend(old.uvs.get(v));
+                        self.receivers.push(old.receivers[v]);
+                        let around = old.first_around[v] as usize..old.first_around[v + 1] as usize;
+                        self.around.extend_from_slice(&old.around[around]);
+                        self.first_around.push(self.around.len() as u32);
+                        charts.push(chart);
+                        charts.len() as u32 - 1
+                    })
+                });
+                if is_quad.contains(&t) {
+                    self.quads.push(self.triangles.len() as u32);
+                }
+                self.triangles.push(corners);
+                self.sources.push(old.sources[t as usize]);
+            }
+            self.parts.push(LitPart {
+                vertices: vertex..self.positions.len() as u32,
+                triangles: triangle..self.triangles.len() as u32,
+                ..*part
+            });
+        }
+        charts
     }
 
     /// Number of elements of the front that the mesh was built for.
@@ -229,7 +288,6 @@ mod tests {
     use crate::testing;
     use luxel_core::{ElementId, Finish, GroupId};
     use luxel_scenes::Builder;
-    use std::collections::HashMap;
 
     /// Edges used in one direction only: the border, and every crack.
     fn open_edges(mesh: &LitMesh) -> Vec<[Vec3; 2]> {

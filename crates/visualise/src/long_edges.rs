@@ -8,6 +8,7 @@
 //!
 //! Source: [Rivara84], longest-edge bisection.
 
+use crate::outlines::Drawn;
 use luxel_core::Vec3;
 use std::collections::HashMap;
 
@@ -23,16 +24,17 @@ pub(crate) struct Middle {
 /// Edges halve at each step, so a triangle with edges `n` times too long becomes about `n²`, and
 /// a sliver about `n`. At most `most` new vertices are made: the rest stays as it is.
 pub(crate) fn halve(
-    triangles: Vec<[u32; 3]>,
+    triangles: Vec<Drawn<3>>,
     positions: &[Vec3],
     longest_m: f32,
     most: usize,
-) -> (Vec<[u32; 3]>, Vec<Middle>) {
+) -> (Vec<Drawn<3>>, Vec<Middle>) {
     let mut middles: Vec<Middle> = Vec::new();
     let mut of_edge: HashMap<[u32; 2], u32> = HashMap::new();
     let (mut todo, mut done) = (triangles, Vec::new());
     todo.reverse();
-    while let Some(t) = todo.pop() {
+    while let Some(drawn) = todo.pop() {
+        let t = drawn.corners;
         let at = |v: u32, middles: &[Middle]| match positions.get(v as usize) {
             Some(p) => *p,
             None => middles[v as usize - positions.len()].position,
@@ -48,7 +50,7 @@ pub(crate) fn halve(
         };
         let k = (1..3).fold(0, |best, k| if length(k) > length(best) { k } else { best });
         if length(k) <= longest_m || middles.len() >= most && !of_edge.contains_key(&edge(k)) {
-            done.push(t);
+            done.push(drawn);
             continue;
         }
         let middle = *of_edge.entry(edge(k)).or_insert_with(|| {
@@ -61,8 +63,9 @@ pub(crate) fn halve(
             (positions.len() + middles.len() - 1) as u32
         });
         let [a, b, c] = [t[k], t[(k + 1) % 3], t[(k + 2) % 3]];
-        todo.push([middle, b, c]);
-        todo.push([a, middle, c]);
+        for corners in [[middle, b, c], [a, middle, c]] {
+            todo.push(Drawn { corners, ..drawn });
+        }
     }
     (done, middles)
 }
@@ -70,6 +73,11 @@ pub(crate) fn halve(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn drawn(triangles: Vec<[u32; 3]>) -> Vec<Drawn<3>> {
+        let one = |corners| Drawn { corners, source: 0 };
+        triangles.into_iter().map(one).collect()
+    }
 
     fn area(triangles: &[[u32; 3]], p: &[Vec3]) -> f64 {
         triangles
@@ -90,7 +98,8 @@ mod tests {
         }
         let triangles: Vec<[u32; 3]> = (1..7).map(|k| [0, k, k + 1]).collect();
         let before = area(&triangles, &positions);
-        let (after, middles) = halve(triangles, &positions, 0.5, usize::MAX);
+        let (after, middles) = halve(drawn(triangles), &positions, 0.5, usize::MAX);
+        let after: Vec<[u32; 3]> = after.iter().map(|t| t.corners).collect();
         positions.extend(middles.iter().map(|m| m.position));
         assert!((area(&after, &positions) - before).abs() < 1e-6);
         let mut edges: HashMap<[u32; 2], i32> = HashMap::new();
@@ -117,9 +126,10 @@ mod tests {
     #[test]
     fn short_edges_stay_and_the_bound_holds() {
         let positions = [Vec3::ZERO, Vec3::X, Vec3::Y];
-        let (same, none) = halve(vec![[0, 1, 2]], &positions, 2.0, usize::MAX);
-        assert_eq!((same, none.len()), (vec![[0, 1, 2]], 0));
-        let (_, bounded) = halve(vec![[0, 1, 2]], &positions, 1e-3, 100);
+        let one = || drawn(vec![[0, 1, 2]]);
+        let (same, none) = halve(one(), &positions, 2.0, usize::MAX);
+        assert_eq!((same.len(), same[0].corners, none.len()), (1, [0, 1, 2], 0));
+        let (_, bounded) = halve(one(), &positions, 1e-3, 100);
         assert_eq!(bounded.len(), 100);
     }
 }

@@ -36,10 +36,18 @@ pub(crate) struct Vertex {
 /// What one part comes to: facets of clusters, then flat triangles, then pairs of them.
 pub(crate) struct Built {
     pub vertices: Vec<Vertex>,
-    pub facets: Vec<[u32; 3]>,
-    pub triangles: Vec<[u32; 3]>,
+    pub facets: Vec<Drawn<3>>,
+    pub triangles: Vec<Drawn<3>>,
     /// Corners of plain quadrilaterals in order.
-    pub quads: Vec<[u32; 4]>,
+    pub quads: Vec<Drawn<4>>,
+}
+
+/// Corners of something drawn.
+#[derive(Clone, Copy)]
+pub(crate) struct Drawn<const N: usize> {
+    pub corners: [u32; N],
+    /// A source triangle of the patch that it lies in; of a facet the one that it is.
+    pub source: u32,
 }
 
 impl Built {
@@ -49,10 +57,13 @@ impl Built {
         let is_long =
             |a: u32, b: u32| (positions[a as usize] - positions[b as usize]).length() > longest_m;
         // The free diagonal of a quadrilateral does not count.
-        self.quads.retain(|&[a, b, c, d]| {
+        self.quads.retain(|&Drawn { corners, source }| {
+            let [a, b, c, d] = corners;
             let long = is_long(a, b) || is_long(b, c) || is_long(c, d) || is_long(d, a);
             if long {
-                self.triangles.extend([[a, b, c], [a, c, d]]);
+                let halves = [[a, b, c], [a, c, d]];
+                self.triangles
+                    .extend(halves.map(|corners| Drawn { corners, source }));
             }
             !long
         });
@@ -78,7 +89,7 @@ impl Built {
         }
         // As at corners: a little inside the triangles around, which cancels on inner edges.
         let mut around = vec![(Vec3::ZERO, 0.0); middles.len()];
-        for t in &self.triangles {
+        for t in self.triangles.iter().map(|t| t.corners) {
             let [a, b, c] = t.map(|v| self.vertices[v as usize].position);
             let centre = (a + b + c) / 3.0;
             for v in t.map(|v| v as usize).into_iter().filter(|&v| v >= first) {
@@ -110,6 +121,7 @@ struct Outline {
     corners: Range<u32>,
     centre: Vec3,
     uv: Vec2,
+    source: u32,
 }
 
 /// Outlines of one surface side.
@@ -178,6 +190,7 @@ impl Outlines {
             let uv = |p: Vec3| sources.uv(scene, source, p);
             b.add_outline(
                 e,
+                source,
                 component,
                 &points,
                 centre,
@@ -216,6 +229,7 @@ impl Outlines {
         };
         self.add_outline(
             element,
+            triangle,
             Places::FACETS,
             &points,
             (a + b + c) / 3.0,
@@ -229,6 +243,7 @@ impl Outlines {
     fn add_outline(
         &mut self,
         element: u32,
+        source: u32,
         component: u32,
         points: &[Vec3],
         centre: Vec3,
@@ -256,6 +271,7 @@ impl Outlines {
             corners,
             centre,
             uv: uv(centre),
+            source,
         });
     }
 
@@ -265,12 +281,22 @@ impl Outlines {
         for o in &self.outlines {
             let v = &vertex_of[o.corners.start as usize..o.corners.end as usize];
             let first = &self.corners[o.corners.start as usize];
+            let source = o.source;
             match *v {
                 // Corners closer than the tolerance are one place, and such a facet is a line.
                 [a, b, c] if a == b || b == c || c == a => {}
-                [a, b, c] if first.flat => triangles.push([a, b, c]),
-                [a, b, c] => facets.push([a, b, c]),
-                [a, b, c, d] if self.is_convex(o) => quads.push([a, b, c, d]),
+                [a, b, c] if first.flat => triangles.push(Drawn {
+                    corners: [a, b, c],
+                    source,
+                }),
+                [a, b, c] => facets.push(Drawn {
+                    corners: [a, b, c],
+                    source,
+                }),
+                [a, b, c, d] if self.is_convex(o) => quads.push(Drawn {
+                    corners: [a, b, c, d],
+                    source,
+                }),
                 _ => {
                     let hub = vertices.len() as u32;
                     let receiver = Receiver {
@@ -284,7 +310,8 @@ impl Outlines {
                         elements: vec![first.element],
                     });
                     let rim = (0..v.len()).map(|k| [v[k], v[(k + 1) % v.len()]]);
-                    triangles.extend(rim.filter(|[a, b]| a != b).map(|[a, b]| [hub, a, b]));
+                    let fan = rim.filter(|[a, b]| a != b).map(|[a, b]| [hub, a, b]);
+                    triangles.extend(fan.map(|corners| Drawn { corners, source }));
                 }
             }
         }

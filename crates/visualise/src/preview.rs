@@ -1,7 +1,7 @@
 //! Pictures of the lit mesh: what the eye would see, and illuminance in false colour.
 //!
 //! Luminance at a pixel = reflectance (texel) x irradiance / pi + own luminance (texel);
-//! irradiance is interpolated between the vertices [Gouraud71]. Four samples a pixel, tone
+//! irradiance is that of the lightmap, or interpolated between the vertices [Gouraud71]. Four samples a pixel, tone
 //! mapped one by one and then averaged, so that an edge before a bright lamp stays smooth.
 //!
 //! Where there is nothing to show, the picture says so in dark greys that do not depend on the
@@ -10,6 +10,7 @@
 //! without a sky are 2 % of white, a little blue. With a sky they show its luminance.
 
 use crate::glyphs;
+use crate::lightmap::Texels;
 use crate::lit_mesh::LitMesh;
 use crate::raster::{Camera, NOTHING, SUPER, visible};
 use crate::tone::{Encoder, Exposure, LuxScale, ramp};
@@ -94,6 +95,18 @@ pub struct Shot {
 /// Precondition: the mesh is of this scene and its irradiance is set. A picture of no pixels is
 /// allowed.
 pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: usize) -> Shot {
+    shoot_texels(scene, mesh, None, view, width, height)
+}
+
+/// As [`shoot`], with the light of a lightmap that lies over the mesh.
+pub fn shoot_texels(
+    scene: &Scene,
+    mesh: &LitMesh,
+    texels: Option<&Texels<'_>>,
+    view: &View,
+    width: usize,
+    height: usize,
+) -> Shot {
     if width == 0 || height == 0 {
         return Shot {
             width,
@@ -101,7 +114,7 @@ pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: u
             pixels: Vec::new(),
         };
     }
-    let stage = Stage::new(scene, mesh);
+    let stage = Stage::new(scene, mesh, texels);
     let near_m = (scene.diagonal() * 1e-4).clamp(1e-5, 0.02);
     let camera = Camera::new(view, width, height, near_m);
     let seen = visible(
@@ -152,10 +165,11 @@ pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: u
 pub fn render(
     scene: &Scene,
     mesh: &LitMesh,
+    texels: Option<&Texels<'_>>,
     view: &View,
     settings: &PreviewSettings,
 ) -> (Picture, Exposure) {
-    let shot = shoot(scene, mesh, view, settings.width, settings.height);
+    let shot = shoot_texels(scene, mesh, texels, view, settings.width, settings.height);
     let exposure = settings.exposure.unwrap_or_else(|| shot.exposure());
     (shot.develop(&exposure), exposure)
 }
@@ -312,6 +326,7 @@ fn is_solid(finish: &Finish) -> bool {
 struct Stage<'a> {
     scene: &'a Scene,
     mesh: &'a LitMesh,
+    texels: Option<&'a Texels<'a>>,
     /// Part of each lit triangle.
     part: Vec<u32>,
     /// Source triangles of black sides.
@@ -319,7 +334,7 @@ struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    fn new(scene: &'a Scene, mesh: &'a LitMesh) -> Stage<'a> {
+    fn new(scene: &'a Scene, mesh: &'a LitMesh, texels: Option<&'a Texels<'a>>) -> Stage<'a> {
         let mut part = vec![0; mesh.triangles.len()];
         let mut lit = vec![[false; 2]; scene.surfaces.len()];
         for (k, p) in mesh.parts.iter().enumerate() {
@@ -341,6 +356,7 @@ impl<'a> Stage<'a> {
         Stage {
             scene,
             mesh,
+            texels,
             part,
             black,
         }
@@ -462,7 +478,12 @@ impl<'a> Stage<'a> {
             id,
             shows: Shows::Lit {
                 crossing,
-                irradiance: vertices.map(|v| self.mesh.irradiance[v]),
+                light: match self.texels {
+                    Some(texels) if texels.has(vertices[0]) => {
+                        Light::Texels(texels, vertices[0], corners)
+                    }
+                    _ => Light::Vertices(vertices.map(|v| self.mesh.irradiance[v])),
+                },
                 uvs: vertices.map(|v| self.mesh.uvs.get(v).copied().unwrap_or_default()),
                 reflectance: finish.reflectance * if reflects { 1.0 / LAMBERTIAN } else { 0.0 },
                 picture: picture(finish.texture).filter(|_| reflects),
@@ -471,6 +492,14 @@ impl<'a> Stage<'a> {
             },
         }
     }
+}
+
+/// Where the light on a triangle comes from.
+enum Light<'a> {
+    /// Its corners, lux.
+    Vertices([Rgb; 3]),
+    /// A lightmap; a vertex and the corners.
+    Texels(&'a Texels<'a>, usize, [Vec3; 3]),
 }
 
 /// A triangle ready to be shaded.
@@ -487,7 +516,7 @@ enum Shows<'a> {
     /// A lit side.
     Lit {
         crossing: Crossing,
-        irradiance: [Rgb; 3],
+        light: Light<'a>,
         uvs: [Vec2; 3],
         /// Reflectance over pi.
         reflectance: Rgb,
@@ -507,7 +536,7 @@ impl Facet<'_> {
             }
             Shows::Lit {
                 crossing,
-                irradiance,
+                light,
                 uvs,
                 reflectance,
                 picture,
@@ -515,7 +544,12 @@ impl Facet<'_> {
                 glow,
             } => {
                 let w = crossing.weights(camera, x, y);
-                let e = irradiance[0] * w[0] + irradiance[1] * w[1] + irradiance[2] * w[2];
+                let e = match light {
+                    Light::Vertices(e) => e[0] * w[0] + e[1] * w[1] + e[2] * w[2],
+                    Light::Texels(texels, vertex, [a, b, c]) => {
+                        texels.at(*vertex, *a * w[0] + *b * w[1] + *c * w[2])
+                    }
+                };
                 let mut seen = *reflectance * e;
                 let mut own = *luminance;
                 if picture.is_some() || glow.is_some() {
@@ -756,7 +790,7 @@ mod tests {
         let view = look(Vec3::new(1.0, 1.6, 1.0), Vec3::new(5.0, 1.0, 4.0), 1.2);
         for strength in [1e-4, 1.0, 1e6] {
             let mesh = testing::lit(&scene, &front, |p| Rgb::splat(strength * (0.1 + p.x * p.y)));
-            let (picture, _) = render(&scene, &mesh, &view, &PreviewSettings::default());
+            let (picture, _) = render(&scene, &mesh, None, &view, &PreviewSettings::default());
             let n = picture.rgb.len() as f64;
             let mean = picture.rgb.iter().map(|&b| b as f64).sum::<f64>() / n;
             let burnt = picture.rgb.iter().filter(|&&b| b == 255).count() as f64 / n;

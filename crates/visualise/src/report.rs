@@ -153,8 +153,13 @@ pub struct Counts {
     pub surfaces: u64,
     /// Elements of the last front.
     pub elements: u64,
-    /// Vertices at which illuminance was asked.
+    /// Vertices of the lit scene.
     pub vertices: u64,
+    /// Texels of the lightmap, and those of them whose illuminance was asked; the others are
+    /// interpolated.
+    pub texels: u64,
+    /// See `texels`.
+    pub texels_asked: u64,
     /// Rays or form factors that the solver used.
     pub solver_work: u64,
     /// Rays that the gather used.

@@ -97,6 +97,8 @@ fn with_lit<T>(scene: &Scene, run: impl FnOnce(&[LitPrimitive<'_>]) -> T) -> T {
         positions: &scene.positions[3 * k..3 * k + 3],
         normals: &normals,
         uvs: scene.uvs.get(k).map_or(&[], |uv| &uv[..]),
+        texels: &[],
+        page: 0,
         irradiance: &irradiance,
         triangles: if side == Side::Front {
             &[[7, 8, 9]]
@@ -114,6 +116,7 @@ fn with_lit<T>(scene: &Scene, run: impl FnOnce(&[LitPrimitive<'_>]) -> T) -> T {
 
 const SCALE: LitScale = LitScale {
     colour_per_lux: 0.004,
+    pages: Vec::new(),
 };
 
 fn written(scene: &Scene, source: Option<&Source>) -> Vec<u8> {
@@ -450,12 +453,15 @@ fn odd_numbers_stay_out_of_the_file() {
         positions: &scene.positions[..3],
         normals: &[Vec3::ZERO; 3],
         uvs: &scene.uvs[0],
+        texels: &[],
+        page: 0,
         irradiance: &irradiance,
         triangles: &[[0, 1, 2]],
         first_vertex: 0,
     };
     let nowhere = LitScale {
         colour_per_lux: f32::NAN,
+        pages: Vec::new(),
     };
     let bytes = lit_glb(&scene, None, &[lit], &nowhere).expect("small");
     let (document, blob) = read_back(&bytes);
@@ -472,4 +478,38 @@ fn odd_numbers_stay_out_of_the_file() {
     }
     let uvs = reader.read_tex_coords(0).expect("coordinates").into_f32();
     assert!(uvs.flatten().all(f32::is_finite));
+}
+
+#[test]
+fn texels_of_a_lightmap_are_the_second_coordinates_and_the_file_names_its_pages() {
+    let scene = scene();
+    let texels = [Vec2::new(0.25, 0.5), Vec2::X, Vec2::new(f32::NAN, 1.0)];
+    let lit = LitPrimitive {
+        surface: SurfaceId(0),
+        side: Side::Front,
+        positions: &scene.positions[..3],
+        normals: &[Vec3::Y; 3],
+        uvs: &[],
+        texels: &texels,
+        page: 1,
+        irradiance: &[Rgb::WHITE; 3],
+        triangles: &[[0, 1, 2]],
+        first_vertex: 0,
+    };
+    let scale = LitScale {
+        colour_per_lux: 0.004,
+        pages: vec![("a.exr".into(), [64, 32]), ("b.exr".into(), [16, 16])],
+    };
+    let bytes = lit_glb(&scene, None, &[lit], &scale).expect("small");
+    let (document, blob) = read_back(&bytes);
+    let mesh = document.meshes().next().expect("a mesh");
+    let p = mesh.primitives().next().expect("one");
+    let read = p.reader(|_| Some(&blob)).read_tex_coords(1);
+    let read: Vec<[f32; 2]> = read.expect("coordinates").into_f32().collect();
+    assert_eq!(read, [[0.25, 0.5], [1.0, 0.0], [0.0, 1.0]]);
+    let extras: serde_json::Value =
+        serde_json::from_str(p.extras().as_ref().expect("extras").get()).expect("json");
+    assert_eq!(extras["luxel"]["lightmap"], 1);
+    let json = String::from_utf8_lossy(&bytes).into_owned();
+    assert!(json.contains(r#""lightmaps":[{"file":"a.exr","width":64,"height":32}"#));
 }
