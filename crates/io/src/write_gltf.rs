@@ -250,18 +250,20 @@ impl<'a> Writer<'a> {
         } else {
             &[]
         };
+        // What glows is brighter than its light: its vertex colours hold both.
+        let texels = if look == Look::Lit { p.texels } else { &[] };
         let mut mesh = self.mesh(
             first_view,
             p.positions,
             p.normals,
             uvs,
-            p.texels,
+            texels,
             &colours,
             p.irradiance,
             triangles,
             material,
         );
-        if !p.texels.is_empty() {
+        if !texels.is_empty() {
             mesh["extras"] = json!({ "luxel": { "lightmap": p.page } });
         }
         Some(mesh)
