@@ -120,7 +120,8 @@ pub struct SolveArguments {
     /// Mesh strategy: uniform, dense or adaptive
     #[arg(long, value_name = "M", default_value = "uniform", value_parser = parse_mesh)]
     pub mesh: MeshKind,
-    /// Solver: stochastic-jacobi, monte-carlo-shooting, direct, jacobi, gauss-seidel or southwell
+    /// Solver: stochastic-jacobi, monte-carlo-shooting, direct, jacobi, gauss-seidel, southwell,
+    /// hierarchical, haar-wavelet or linear-wavelet
     #[arg(long, value_name = "S", default_value = "stochastic-jacobi", value_parser = parse_solver)]
     pub solver: SolverKind,
     /// Elements to aim at (default: by the scene)

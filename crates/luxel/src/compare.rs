@@ -68,6 +68,8 @@ pub struct Sample {
     pub error: f64,
     /// What the solver itself says of it.
     pub stated: f64,
+    /// Links in force, of a solver that links clusters.
+    pub links: Option<usize>,
 }
 
 /// How a solver ended.
@@ -212,7 +214,7 @@ pub fn compare_on(
             ..Status::begin(Stage::Solve)
         };
         let (samples, end) = measure(session, &truth, asked, patience, &status, watch)?;
-        let setup = if solver.needs_lines() {
+        let setup = if !solver.needs_factors() {
             Seconds::default()
         } else {
             comparison.exact_factors = Some(session.has_exact_factors());
@@ -315,6 +317,7 @@ fn measure(
                 work: progress.work,
                 error,
                 stated: progress.relative_error,
+                links: session.links(),
             };
             // The last may have been measured already.
             if samples.last().is_none_or(|s| s.step != sample.step) {
@@ -352,8 +355,8 @@ impl Comparison {
         }
         let _ = writeln!(
             out,
-            " {:>9} {:>9} {:>11} {:>10}",
-            "end s", "error", "stated", "work"
+            " {:>9} {:>9} {:>11} {:>10} {:>9}",
+            "end s", "error", "stated", "work", "links"
         );
         for curve in &self.curves {
             let Some(last) = curve.samples.last() else {
@@ -371,11 +374,12 @@ impl Comparison {
             }
             let _ = writeln!(
                 out,
-                " {:>9.3} {:>9} {:>11} {:>10.2e}  {}",
+                " {:>9.3} {:>9} {:>11} {:>10.2e} {:>9}  {}",
                 last.seconds.wall,
                 format!("{:.3} %", 100.0 * last.error),
                 format!("{:.3} %", 100.0 * last.stated),
                 last.work as f64,
+                last.links.map_or("-".into(), |n| n.to_string()),
                 curve.end.name(),
             );
         }
@@ -386,7 +390,7 @@ impl Comparison {
             out += "\nForm factors are sampled: their own error is where the solvers that use them end.\n";
         }
         out += "\nTimes are seconds by the clock; those of a solver come on top of its form factors. \
-                Work: rays cast or factors used.\n";
+                Work: rays cast, or factors and links used.\n";
         out
     }
 
@@ -411,6 +415,7 @@ impl Comparison {
                     "work": s.work,
                     "error": s.error,
                     "stated": s.stated,
+                    "links": s.links,
                 })).collect::<Vec<_>>(),
             })).collect::<Vec<_>>(),
             "left_out": self.refused.iter().map(|(solver, why)| json!({
@@ -421,12 +426,12 @@ impl Comparison {
     }
 
     fn to_csv(&self) -> String {
-        let mut out = String::from("solver,step,setup_s,wall_s,cpu_s,work,error,stated\n");
+        let mut out = String::from("solver,step,setup_s,wall_s,cpu_s,work,error,stated,links\n");
         for c in &self.curves {
             for s in &c.samples {
                 let _ = writeln!(
                     out,
-                    "{},{},{},{},{},{},{:e},{:e}",
+                    "{},{},{},{},{},{},{:e},{:e},{}",
                     c.solver.name(),
                     s.step,
                     c.setup.wall,
@@ -434,7 +439,8 @@ impl Comparison {
                     s.seconds.cpu,
                     s.work,
                     s.error,
-                    s.stated
+                    s.stated,
+                    s.links.map_or(String::new(), |n| n.to_string())
                 );
             }
         }

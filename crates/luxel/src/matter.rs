@@ -87,6 +87,7 @@ impl Matter {
             outside: &self.outside,
             transport,
             seed,
+            importance: None,
         }
     }
 

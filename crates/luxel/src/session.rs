@@ -10,12 +10,14 @@ use crate::settings::Settings;
 use crate::stage::{Clock, Stage};
 use crate::watch::{Control, Status, Watch, enter};
 use luxel_core::quantity::Exitance;
-use luxel_core::{ElementId, Front, Layers, Rgb, Scene, Solution, Warnings};
+use luxel_core::{ElementId, Front, Hierarchy, Layers, Rgb, Scene, Solution, Warnings};
 use luxel_gather::{Accuracy, DirectLights, ElementDirect, Gatherer, Irradiance, Receiver};
 use luxel_io::{Document, Source, scene_ops};
 use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
 use luxel_solve::{Progress, Solver, SolverSettings, Transport};
-use luxel_transport::{Bvh, Exact, FrontLines, Matrix, MatrixSettings, RayCaster};
+use luxel_transport::{
+    Bvh, Exact, FrontLines, FrontNodes, Matrix, MatrixSettings, NodeFactors, RayCaster,
+};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -61,6 +63,9 @@ pub struct Session {
     factors: Option<Matrix>,
     /// Found by exact shadows, not by sampling.
     factors_are_exact: bool,
+    /// Clusters of the front, where the solver links them.
+    tree: Option<Hierarchy>,
+    pairs: MatrixSettings,
     solver: Box<dyn Solver>,
     progress: Progress,
     refinements: u32,
@@ -150,7 +155,7 @@ impl Session {
 
         if settings.elements.is_none()
             && settings.element_edge_m.is_none()
-            && !settings.solver.needs_lines()
+            && settings.solver.needs_factors()
         {
             // A stored matrix grows with the square of the elements.
             mesh = MeshSettings::for_scene(&scene, MATRIX_ELEMENTS);
@@ -184,6 +189,11 @@ impl Session {
             lights,
             factors: None,
             factors_are_exact: false,
+            tree: None,
+            pairs: MatrixSettings {
+                seed: settings.seed,
+                ..MatrixSettings::default()
+            },
             solver: settings.solver.build(SolverSettings::default()),
             progress: Progress::default(),
             refinements: 0,
@@ -221,12 +231,16 @@ impl Session {
         self.matter = Matter::new(&self.scene, &self.front, &self.lights, &direct);
         self.clock.end(Stage::Direct);
         self.factors = None;
+        self.tree = None;
         self.take_factors(watch)
     }
 
-    /// Form factors of the front, if the solver needs some and there are none.
+    /// Form factors of the front or a tree over it, if the solver needs some and there are none.
     fn take_factors(&mut self, watch: &mut Watch<'_>) -> Result<(), Error> {
-        if !self.settings.solver.needs_lines() {
+        if self.settings.solver.needs_nodes() && self.tree.is_none() {
+            self.tree = Some(luxel_mesh::hierarchy(&self.scene, &self.front));
+        }
+        if self.settings.solver.needs_factors() {
             // Most pairs of a room see each other: 16 bytes each, and LU holds three bands of f64.
             let pairs = (self.front.len() as u64).pow(2);
             let needed = pairs
@@ -348,15 +362,23 @@ impl Session {
         act: impl FnOnce(&mut dyn Solver, &luxel_solve::Problem<'_>) -> T,
     ) -> T {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.settings, &self.factors, &lines);
+        let nodes = nodes(
+            &self.scene,
+            &self.front,
+            &self.caster,
+            &self.tree,
+            &self.pairs,
+        );
+        let transport = transport(&self.settings, &self.factors, &lines, &nodes);
         let problem = self.matter.problem(transport, self.settings.seed);
         act(self.solver.as_mut(), &problem)
     }
 
     /// The solution as it stands. Never holds the ambient term.
     pub fn solution(&self) -> Solution {
+        // What is known is told without any geometry.
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.settings, &self.factors, &lines);
+        let transport = transport(&self.settings, &self.factors, &lines, &None);
         self.solver
             .solution(&self.matter.problem(transport, self.settings.seed))
     }
@@ -483,7 +505,7 @@ impl Session {
     /// Energy balance of the solution, lumens.
     pub fn balance(&self, solution: &Solution) -> luxel_solve::balance::EnergyBalance {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.settings, &self.factors, &lines);
+        let transport = transport(&self.settings, &self.factors, &lines, &None);
         luxel_solve::balance::measure(
             &self.matter.problem(transport, self.settings.seed),
             solution,
@@ -541,6 +563,11 @@ impl Session {
         &self.settings
     }
 
+    /// Links in force, where the solver links clusters.
+    pub fn links(&self) -> Option<usize> {
+        self.solver.links()
+    }
+
     /// How far the solver is.
     pub fn progress(&self) -> Progress {
         self.progress
@@ -572,16 +599,32 @@ impl Iterator for Session {
     }
 }
 
-/// Stored factors where the solver needs them, else lines.
+/// Stored factors or clusters where the solver needs them, else lines.
 fn transport<'a>(
     settings: &Settings,
     factors: &'a Option<Matrix>,
     lines: &'a FrontLines<'a>,
+    nodes: &'a Option<FrontNodes<'a>>,
 ) -> Transport<'a> {
-    match factors {
-        Some(matrix) if !settings.solver.needs_lines() => Transport::Factors(matrix),
+    match (factors, nodes) {
+        (_, Some(nodes)) if settings.solver.needs_nodes() => {
+            Transport::Nodes(nodes as &dyn NodeFactors)
+        }
+        (Some(matrix), _) if settings.solver.needs_factors() => Transport::Factors(matrix),
         _ => Transport::Lines(lines),
     }
+}
+
+/// Geometry between clusters of the front, if there is a tree.
+fn nodes<'a>(
+    scene: &'a Scene,
+    front: &'a Front,
+    caster: &'a Bvh,
+    tree: &'a Option<Hierarchy>,
+    settings: &'a MatrixSettings,
+) -> Option<FrontNodes<'a>> {
+    let tree = tree.as_ref()?;
+    Some(FrontNodes::new(scene, front, caster, tree, settings))
 }
 
 /// Nobody watches.

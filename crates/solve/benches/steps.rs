@@ -1,9 +1,9 @@
 //! One step of each solver on an integrating sphere of 2,000 patches: no rays, so this is the
 //! cost of the solver itself.
 
-use luxel_core::Layers;
+use luxel_core::{DVec3, Layers};
 use luxel_solve::{Kind, Problem, SolverSettings, Transport};
-use luxel_transport::Constant;
+use luxel_transport::{Constant, GivenNodes};
 
 fn main() {
     divan::main();
@@ -20,7 +20,10 @@ fn step(bencher: divan::Bencher, kind: Kind) {
     let emission: Vec<f64> = (0..3 * n)
         .map(|k| if k < 300 { 100.0 } else { 0.0 })
         .collect();
-    let transport = if kind.needs_lines() {
+    let nodes = GivenNodes::new(&sphere, sphere.areas(), vec![DVec3::ZERO; n]);
+    let transport = if kind.needs_nodes() {
+        Transport::Nodes(&nodes)
+    } else if kind.needs_lines() {
         Transport::Lines(&sphere)
     } else {
         Transport::Factors(&sphere)
@@ -33,6 +36,7 @@ fn step(bencher: divan::Bencher, kind: Kind) {
         outside: &[0.0; 3],
         transport,
         seed: 1,
+        importance: None,
     };
     bencher
         .with_inputs(|| kind.build(SolverSettings::default()))

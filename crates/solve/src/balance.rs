@@ -165,6 +165,7 @@ pub fn measure(problem: &Problem<'_>, solution: &Solution, lines: u64) -> Energy
             sums.element(problem, solution, i, row.outside);
         }),
         Transport::Lines(local) => by_lines(problem, solution, local, lines, &mut sums),
+        Transport::Nodes(nodes) => by_lines(problem, solution, nodes.lines(), lines, &mut sums),
     }
     sums.balance()
 }

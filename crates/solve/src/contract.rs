@@ -1,7 +1,7 @@
 //! What a solver is given and what it promises.
 
 use luxel_core::{FrontChange, Layers, Solution};
-use luxel_transport::{FormFactors, LocalLines};
+use luxel_transport::{FormFactors, LocalLines, NodeFactors};
 
 /// How light gets from element to element.
 #[derive(Clone, Copy)]
@@ -10,6 +10,8 @@ pub enum Transport<'a> {
     Factors(&'a dyn FormFactors),
     /// Random lines, for the Monte Carlo solvers.
     Lines(&'a dyn LocalLines),
+    /// Geometry between clusters, for the solvers that link them.
+    Nodes(&'a dyn NodeFactors),
 }
 
 /// The radiosity equation for one front: everything but the state of the solver.
@@ -32,6 +34,10 @@ pub struct Problem<'a> {
     pub transport: Transport<'a>,
     /// Seed of every random number.
     pub seed: u32,
+    /// How much each element matters, above 0, mean 1 by area: what flux that leaves it adds to
+    /// what is looked at (see [`crate::importance`]). `None` where all matter alike. It says where
+    /// work goes first, never what the answer is.
+    pub importance: Option<&'a [f64]>,
 }
 
 impl Problem<'_> {
@@ -48,6 +54,11 @@ impl Problem<'_> {
     /// Columns a row.
     pub fn columns(&self) -> usize {
         self.layers.columns()
+    }
+
+    /// Importance of element `i`; 1 where none is given.
+    pub fn importance_of(&self, i: usize) -> f64 {
+        self.importance.map_or(1.0, |w| w[i])
     }
 }
 
@@ -87,4 +98,9 @@ pub trait Solver: Send {
 
     /// Takes up a stored solution of this very problem, as `--resume` does.
     fn resume(&mut self, stored: &Solution, problem: &Problem<'_>);
+
+    /// Links in force, for a solver that links clusters.
+    fn links(&self) -> Option<usize> {
+        None
+    }
 }

@@ -1,7 +1,9 @@
 //! The solvers by name: axis B of the hybrids table.
 
 use crate::contract::Solver;
-use crate::{Direct, GaussSeidel, Jacobi, MonteCarloShooting, Southwell, StochasticJacobi};
+use crate::{
+    Direct, GaussSeidel, Jacobi, LinkSolver, MonteCarloShooting, Southwell, StochasticJacobi,
+};
 
 /// Which solver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -19,6 +21,12 @@ pub enum Kind {
     GaussSeidel,
     /// Progressive refinement.
     Southwell,
+    /// Links between clusters, refined where power times the bounds of the kernel asks for it.
+    Hierarchical,
+    /// The same with an oracle that measures the Haar wavelets of the kernel.
+    HaarWavelet,
+    /// Links that carry light linear in place: two vanishing moments.
+    LinearWavelet,
 }
 
 /// What a user may set about a solver. The default serves rooms from a few elements to millions.
@@ -46,13 +54,16 @@ impl Default for SolverSettings {
 
 impl Kind {
     /// All kinds, the default first.
-    pub const ALL: [Kind; 6] = [
+    pub const ALL: [Kind; 9] = [
         Kind::StochasticJacobi,
         Kind::MonteCarloShooting,
         Kind::Direct,
         Kind::Jacobi,
         Kind::GaussSeidel,
         Kind::Southwell,
+        Kind::Hierarchical,
+        Kind::HaarWavelet,
+        Kind::LinearWavelet,
     ];
 
     /// Name in settings and reports.
@@ -64,6 +75,9 @@ impl Kind {
             Kind::Jacobi => "jacobi",
             Kind::GaussSeidel => "gauss-seidel",
             Kind::Southwell => "southwell",
+            Kind::Hierarchical => "hierarchical",
+            Kind::HaarWavelet => "haar-wavelet",
+            Kind::LinearWavelet => "linear-wavelet",
         }
     }
 
@@ -72,9 +86,22 @@ impl Kind {
         Kind::ALL.into_iter().find(|k| k.name() == name)
     }
 
-    /// Whether it wants random lines (otherwise form factors).
+    /// Whether it wants random lines.
     pub fn needs_lines(self) -> bool {
         matches!(self, Kind::StochasticJacobi | Kind::MonteCarloShooting)
+    }
+
+    /// Whether it wants the geometry between clusters.
+    pub fn needs_nodes(self) -> bool {
+        matches!(
+            self,
+            Kind::Hierarchical | Kind::HaarWavelet | Kind::LinearWavelet
+        )
+    }
+
+    /// Whether it wants all form factors between elements.
+    pub fn needs_factors(self) -> bool {
+        !self.needs_lines() && !self.needs_nodes()
     }
 
     /// Whether it can serve `elements` elements at all.
@@ -91,6 +118,9 @@ impl Kind {
             Kind::Jacobi => Box::new(Jacobi::new()),
             Kind::GaussSeidel => Box::new(GaussSeidel::new()),
             Kind::Southwell => Box::new(Southwell::new(settings)),
+            Kind::Hierarchical => Box::new(LinkSolver::new(crate::hierarchical::METHOD)),
+            Kind::HaarWavelet => Box::new(LinkSolver::new(crate::haar_wavelet::METHOD)),
+            Kind::LinearWavelet => Box::new(LinkSolver::new(crate::linear_wavelet::METHOD)),
         }
     }
 }

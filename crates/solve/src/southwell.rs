@@ -124,7 +124,7 @@ impl Southwell {
         // Compare absolute unshot flux: refinement leaves elements that must give light back.
         let mut best = (0.0, None);
         for (i, u) in self.unshot.chunks_exact(columns).enumerate() {
-            let flux = problem.area[i] * absolute(u);
+            let flux = problem.area[i] * absolute(u) * problem.importance_of(i);
             if flux > best.0 {
                 best = (flux, Some(i));
             }

@@ -27,7 +27,7 @@ pub(crate) struct Sweep {
 pub(crate) fn factors<'a>(problem: &Problem<'a>) -> Option<&'a dyn FormFactors> {
     match problem.transport {
         Transport::Factors(f) => Some(f),
-        Transport::Lines(_) => {
+        _ => {
             debug_assert!(false, "a deterministic solver needs form factors");
             None
         }

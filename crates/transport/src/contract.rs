@@ -1,8 +1,8 @@
 //! The contracts of transport: what a ray engine, a form-factor provider and a source of
-//! random lines promise to those who solve, gather and mesh. All three take batches, so that
-//! one dynamic call does much work.
+//! random lines, and of the geometry between clusters promise to those who solve, gather and mesh.
+//! All take batches, so that one dynamic call does much work.
 
-use luxel_core::{ElementId, Side, Vec3};
+use luxel_core::{DVec3, ElementId, Hierarchy, Side, Vec3};
 use std::ops::Range;
 
 /// A ray or segment: points `origin + t direction` for `t_min < t <= t_max`.
@@ -178,4 +178,49 @@ pub trait LocalLines: Sync + Send {
     ) {
         self.cast_each(&[(element, samples)], seed, arrivals);
     }
+}
+
+/// The kernel between one point of a node and one of another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KernelSample {
+    /// Where the points are: elements, as indices into [`Hierarchy::order`].
+    pub at: [u32; 2],
+    /// The points, metres.
+    pub points: [DVec3; 2],
+    /// cos cos' / (pi r^2), without occlusion, 1/m².
+    pub kernel: f64,
+    /// Share of the light that passes between the points, 0..=1.
+    pub visible: f64,
+    /// Weight in a mean over the two nodes; only ratios matter.
+    pub weight: f64,
+}
+
+/// Geometry between any two nodes of a tree over the elements, for solvers that link clusters.
+///
+/// Between two elements the exchange is final, the very one that [`FormFactors`] of this kind
+/// store: a solver that refines to elements everywhere solves the same system.
+pub trait NodeFactors: Sync + Send {
+    /// The tree. Its leaves hold one element each.
+    fn hierarchy(&self) -> &Hierarchy;
+
+    /// Local lines of the same elements.
+    fn lines(&self) -> &dyn LocalLines;
+
+    /// A_i F_ij, m², of each pair of elements; the same for either order. `out` is replaced.
+    fn exchange(&self, pairs: &[(ElementId, ElementId)], out: &mut Vec<f64>);
+
+    /// No kernel between a point of node `p` and one of node `q` is above this, 1/m²: infinite
+    /// where they touch; 0 proves that they see nothing of each other.
+    fn most(&self, p: usize, q: usize) -> f64;
+
+    /// Replaces `samples` by about `count` samples of the kernel, well spread over both nodes.
+    /// Whether these are all that there is, so that nothing is left to chance. The same for the
+    /// same pair.
+    fn sample(&self, p: usize, q: usize, count: u32, samples: &mut Vec<KernelSample>) -> bool;
+
+    /// Centre of each element, metres.
+    fn centres(&self) -> Vec<DVec3>;
+
+    /// Share of each element's flux that leaves the scene.
+    fn outside(&self) -> Vec<f64>;
 }

@@ -9,6 +9,7 @@ pub mod constant;
 pub mod contract;
 pub(crate) mod dilogarithm;
 pub mod facets;
+pub mod given_nodes;
 pub mod hemicube;
 #[cfg(target_arch = "x86_64")]
 mod kernel_avx2;
@@ -18,6 +19,7 @@ mod lanes;
 pub mod lines;
 pub mod matrix;
 pub mod monte_carlo;
+pub mod nodes;
 pub mod obstructed;
 mod packet;
 pub mod polygon_pair;
@@ -33,9 +35,14 @@ pub use closure_repair::{
     Closure, ExchangeAreas, NegativePairs, Repair, RepairOutcome, RepairSettings, repair_closure,
 };
 pub use constant::Constant;
-pub use contract::{Arrival, FactorRow, FormFactors, Hit, LocalLines, Ray, RayCaster, of_each};
+pub use contract::{
+    Arrival, FactorRow, FormFactors, Hit, KernelSample, LocalLines, NodeFactors, Ray, RayCaster,
+    of_each,
+};
+pub use given_nodes::GivenNodes;
 pub use hemicube::Hemicube;
 pub use lines::{FactorLines, FrontLines};
 pub use matrix::{Defects, Exact, Matrix, MatrixSettings};
 pub use monte_carlo::{MonteCarloFactors, RowError};
+pub use nodes::FrontNodes;
 pub use sampling::Sequence;

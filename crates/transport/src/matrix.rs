@@ -326,12 +326,12 @@ const WEIGHTY: f64 = 3e-3;
 const MAX_CUTS: u32 = 6;
 
 /// What the rows share.
-struct Assembly<'a> {
+pub(crate) struct Assembly<'a> {
     scene: &'a Scene,
     front: &'a Front,
     caster: &'a dyn RayCaster,
     settings: &'a MatrixSettings,
-    polygons: Vec<Vec<Polygon>>,
+    pub(crate) polygons: Vec<Vec<Polygon>>,
     /// Ball around each element.
     centre: Vec<Vec3>,
     radius: Vec<f32>,
@@ -350,8 +350,20 @@ struct Pair {
     visible: f64,
 }
 
+impl Pair {
+    fn new(j: usize) -> Self {
+        Pair {
+            j: j as u32,
+            cast: 0,
+            behind: false,
+            weight: 0.0,
+            visible: 0.0,
+        }
+    }
+}
+
 impl<'a> Assembly<'a> {
-    fn new(
+    pub(crate) fn new(
         scene: &'a Scene,
         front: &'a Front,
         caster: &'a dyn RayCaster,
@@ -395,54 +407,56 @@ impl<'a> Assembly<'a> {
     fn upper_row(&self, i: usize) -> Vec<(u32, f64)> {
         let mut pairs: Vec<Pair> = (i..self.front.len())
             .filter(|&j| self.may_face(i, j))
-            .map(|j| Pair {
-                j: j as u32,
-                cast: 0,
-                behind: false,
-                weight: 0.0,
-                visible: 0.0,
-            })
+            .map(Pair::new)
             .collect();
         let all = self.settings.visibility_rays.max(1);
         let first = all.div_ceil(4);
         self.cast(i, &mut pairs, first);
         self.cast(i, &mut pairs, all);
-        let mut row = Vec::new();
-        for pair in &pairs {
-            let j = pair.j as usize;
-            let partly = pair.visible > 0.0 && pair.visible < pair.weight;
-            let near = self.centre[i].distance(self.centre[j])
-                < NEAR as f32 * (self.radius[i] + self.radius[j]);
-            if let ([p], [q]) = (self.polygons[i].as_slice(), self.polygons[j].as_slice())
-                && (pair.behind || partly)
-                && near
-            {
-                let stream = hash([i as u32, pair.j, 1]);
-                let exchange = self.in_parts(
-                    p,
-                    q,
-                    1e-3 * self.front.area[i] as f64,
-                    MAX_CUTS,
-                    partly,
-                    stream,
-                );
-                if exchange > 0.0 {
-                    row.push((pair.j, exchange));
-                }
-                continue;
+        pairs
+            .iter()
+            .map(|pair| (pair.j, self.judged(i, pair)))
+            .filter(|(_, exchange)| *exchange > 0.0)
+            .collect()
+    }
+
+    /// Exchange area of each pair of elements, as the rows of [`Matrix::assemble`] hold it.
+    pub(crate) fn exchange(&self, pairs: &[(ElementId, ElementId)], out: &mut Vec<f64>) {
+        let all = self.settings.visibility_rays.max(1);
+        out.clear();
+        out.extend(pairs.iter().map(|(a, b)| {
+            let (i, j) = (a.index().min(b.index()), a.index().max(b.index()));
+            if !self.may_face(i, j) {
+                return 0.0;
             }
-            if pair.visible <= 0.0 {
-                continue;
-            }
-            let seen = (pair.visible / pair.weight).min(1.0);
-            let free = self.unoccluded(i, j);
-            let largest = self.front.area[i].min(self.front.area[j]) as f64;
-            let exchange = (free.unwrap_or(pair.weight / pair.cast as f64) * seen).min(largest);
-            if exchange > 0.0 {
-                row.push((pair.j, exchange));
-            }
+            let mut pair = [Pair::new(j)];
+            self.cast(i, &mut pair, all.div_ceil(4));
+            self.cast(i, &mut pair, all);
+            self.judged(i, &pair[0])
+        }));
+    }
+
+    /// Exchange area of a pair after its segments.
+    fn judged(&self, i: usize, pair: &Pair) -> f64 {
+        let j = pair.j as usize;
+        let partly = pair.visible > 0.0 && pair.visible < pair.weight;
+        let near = self.centre[i].distance(self.centre[j])
+            < NEAR as f32 * (self.radius[i] + self.radius[j]);
+        if let ([p], [q]) = (self.polygons[i].as_slice(), self.polygons[j].as_slice())
+            && (pair.behind || partly)
+            && near
+        {
+            let stream = hash([i as u32, pair.j, 1]);
+            let least = 1e-3 * self.front.area[i] as f64;
+            return self.in_parts(p, q, least, MAX_CUTS, partly, stream);
         }
-        row
+        if pair.visible <= 0.0 {
+            return 0.0;
+        }
+        let seen = (pair.visible / pair.weight).min(1.0);
+        let free = self.unoccluded(i, j);
+        let largest = self.front.area[i].min(self.front.area[j]) as f64;
+        (free.unwrap_or(pair.weight / pair.cast as f64) * seen).min(largest)
     }
 
     /// Quick test by balls and normals; wrong only in favour of facing.
@@ -613,7 +627,7 @@ impl<'a> Assembly<'a> {
 
     /// Shares of an element's flux that leave the scene and that fall on black.
     /// [`Assembly::lost`] of each element.
-    fn all_lost(&self) -> (Vec<f64>, Vec<f64>) {
+    pub(crate) fn all_lost(&self) -> (Vec<f64>, Vec<f64>) {
         (0..self.front.len())
             .into_par_iter()
             .map_init(Vec::new, |arrivals, i| self.lost(i, arrivals))

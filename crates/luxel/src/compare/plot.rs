@@ -9,14 +9,18 @@ const FONT: &str = "sans-serif";
 /// Smaller errors are drawn here.
 const LEAST_PERCENT: f64 = 1e-3;
 
-/// Colours that people with any colour vision tell apart [Okabe08].
-const COLOURS: [RGBColor; 6] = [
+/// Colours that people with any colour vision tell apart [Okabe08], then some more.
+const COLOURS: [RGBColor; 10] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
     RGBColor(0, 158, 115),
     RGBColor(204, 121, 167),
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
+    RGBColor(0, 0, 0),
+    RGBColor(140, 86, 75),
+    RGBColor(127, 127, 127),
+    RGBColor(188, 189, 34),
 ];
 
 /// An SVG picture.

@@ -51,6 +51,7 @@ impl System {
             outside: &[0.0; BANDS],
             transport: Transport::Factors(&self.matrix),
             seed: 0,
+            importance: None,
         }
     }
 

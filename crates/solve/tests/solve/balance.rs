@@ -3,14 +3,12 @@
 use crate::common::{Dense, System, random, run};
 use luxel_solve::{Kind, SolverSettings, balance};
 
-const KINDS: [Kind; 6] = Kind::ALL;
-
 #[test]
 fn balance_closes_for_all_kinds_at_any_moment() {
     for open in [0.0, 0.4] {
         let mut system = random(60, 2, open, 8);
         system.outside = vec![30.0; 6];
-        for kind in KINDS {
+        for kind in Kind::ALL {
             let problem = system.problem(kind);
             let mut solver = kind.build(SolverSettings::default());
             for steps in [1, 40] {

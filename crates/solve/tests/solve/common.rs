@@ -1,8 +1,8 @@
 //! Systems with known answers, without geometry.
 
-use luxel_core::{ElementId, Layers};
+use luxel_core::{DVec3, ElementId, Layers};
 use luxel_solve::{Kind, Problem, Progress, Solver, Transport};
-use luxel_transport::{FactorLines, FactorRow, FormFactors, LocalLines};
+use luxel_transport::{FactorLines, FactorRow, FormFactors, GivenNodes, LocalLines, NodeFactors};
 
 /// Form factors from a dense table; what a row lacks to 1 goes to `outside` and to black.
 pub struct Dense {
@@ -34,7 +34,9 @@ pub struct System {
     pub outside: Vec<f64>,
     pub factors: Box<dyn FormFactors>,
     pub lines: Box<dyn LocalLines>,
+    pub nodes: Box<dyn NodeFactors>,
     pub seed: u32,
+    pub importance: Option<Vec<f64>>,
 }
 
 impl System {
@@ -46,6 +48,8 @@ impl System {
         dense: Dense,
     ) -> Self {
         let lines = Box::new(FactorLines::new(&dense));
+        let nowhere = vec![DVec3::ZERO; area.len()];
+        let nodes = Box::new(GivenNodes::new(&dense, &area, nowhere));
         System {
             layers: Layers {
                 groups: (0..groups).map(|g| format!("group {g}")).collect(),
@@ -56,7 +60,9 @@ impl System {
             emission,
             factors: Box::new(dense),
             lines,
+            nodes,
             seed: 7,
+            importance: None,
         }
     }
 
@@ -69,10 +75,13 @@ impl System {
             outside: &self.outside,
             transport: if kind.needs_lines() {
                 Transport::Lines(&*self.lines)
+            } else if kind.needs_nodes() {
+                Transport::Nodes(&*self.nodes)
             } else {
                 Transport::Factors(&*self.factors)
             },
             seed: self.seed,
+            importance: self.importance.as_deref(),
         }
     }
 
