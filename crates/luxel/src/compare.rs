@@ -148,10 +148,12 @@ pub fn compare(job: &CompareJob, watch: &mut Watch<'_>) -> Result<Comparison, Er
             "--solver: expected at least one solver, found none".into(),
         ));
     }
-    if job.settings.mesh == MeshKind::Adaptive {
-        return Err(Error::Setting(
-            "--mesh adaptive: expected a mesh that does not change while it is solved, such as uniform".into(),
-        ));
+    let mesh = job.settings.mesh;
+    if !matches!(mesh, MeshKind::Uniform | MeshKind::Dense) {
+        return Err(Error::Setting(format!(
+            "--mesh {}: expected a mesh that does not change while it is solved, such as uniform",
+            mesh.name()
+        )));
     }
     let output = job
         .output

@@ -13,7 +13,7 @@ use luxel_core::quantity::Exitance;
 use luxel_core::{ElementId, Front, Hierarchy, Layers, Rgb, Scene, Solution, Warnings};
 use luxel_gather::{Accuracy, DirectLights, ElementDirect, Gatherer, Irradiance, Receiver};
 use luxel_io::{Document, Source, scene_ops};
-use luxel_mesh::{MeshSettings, PrepareSettings, Strategy};
+use luxel_mesh::{MeshSettings, Strategy};
 use luxel_solve::{Progress, Solver, SolverSettings, Transport};
 use luxel_transport::{
     Bvh, Exact, FrontLines, FrontNodes, Matrix, MatrixSettings, NodeFactors, RayCaster,
@@ -148,7 +148,7 @@ impl Session {
     ) -> Result<Session, Error> {
         let mut mesh = fitting_mesh(&read, settings, &mut warnings)?;
         enter(watch, &Status::begin(Stage::Prepare))?;
-        let prepare = PrepareSettings::for_mesh(&mesh);
+        let prepare = settings.mesh.prepare(&mesh);
         let scene = Arc::new(luxel_mesh::prepare(read, &prepare, &mut warnings));
         let caster = Bvh::build(&scene);
         clock.end(Stage::Prepare);

@@ -215,6 +215,12 @@ fn nothing_leaks_from_a_lit_room_into_a_dark_one() {
             normal: Vec3::Y,
         })
         .to_vec();
-    let light = probe(&solved(both, &settings(2000)), &receivers);
-    assert_eq!(light, vec![0.0; 5]);
+    for mesh in [MeshKind::Uniform, MeshKind::Discontinuity] {
+        let settings = Settings {
+            mesh,
+            ..settings(2000)
+        };
+        let light = probe(&solved(both.clone(), &settings), &receivers);
+        assert_eq!(light, vec![0.0; 5], "{}", mesh.name());
+    }
 }

@@ -99,6 +99,8 @@ pub(crate) struct Contact {
     pub triangle: u32,
     /// Ends, metres, in the plane of the group.
     pub ends: [DVec3; 2],
+    /// Infinite for a contact line, which light must not cross; of a shadow line, what it matters.
+    pub weight: f64,
 }
 
 impl Contact {
@@ -108,7 +110,7 @@ impl Contact {
     }
 
     /// What tells ends apart: equal bits, same place.
-    fn bits(&self) -> [[u64; 3]; 2] {
+    pub fn bits(&self) -> [[u64; 3]; 2] {
         self.ends.map(|p| p.to_array().map(f64::to_bits))
     }
 }
@@ -231,6 +233,7 @@ fn meet(
                 group,
                 triangle: t,
                 ends,
+                weight: f64::INFINITY,
             });
         }
     };
@@ -289,7 +292,7 @@ fn meet(
 }
 
 /// Whether part of a line in the plane of `t` lies on the triangle, rim included.
-fn touches(scene: &Scene, t: u32, [p, q]: [DVec3; 2], tolerance: f64) -> bool {
+pub(crate) fn touches(scene: &Scene, t: u32, [p, q]: [DVec3; 2], tolerance: f64) -> bool {
     let c = scene.corners(t as usize).map(|p| p.as_dvec3());
     let n = (c[1] - c[0]).cross(c[2] - c[0]);
     let (mut from, mut to) = (0.0f64, 1.0f64);
@@ -352,7 +355,7 @@ fn keep_longest(lines: &mut Vec<Contact>, most: usize) -> usize {
 }
 
 /// Leaves out the lines of connected outlines whose bounds' diagonal is below `least`.
-fn drop_small(lines: Vec<Contact>, least: f64) -> Vec<Contact> {
+pub(crate) fn drop_small(lines: Vec<Contact>, least: f64) -> Vec<Contact> {
     let mut kept = Vec::with_capacity(lines.len());
     for run in lines.chunk_by(|a, b| a.group == b.group) {
         let mut ids: HashMap<[u64; 3], usize> = HashMap::new();
@@ -400,7 +403,7 @@ pub(crate) fn root(parent: &mut [usize], mut i: usize) -> usize {
 }
 
 /// A bounding-volume tree over the large triangles.
-struct Tree {
+pub(crate) struct Tree {
     /// Low and high corner; children follow at `left + 1` and `right`, or a run of `order`.
     nodes: Vec<(Vec3, Vec3, u32, u32)>,
     order: Vec<u32>,
@@ -411,7 +414,7 @@ struct Tree {
 const LEAF: usize = 4;
 
 impl Tree {
-    fn new(scene: &Scene, triangles: Vec<u32>, margin: f32) -> Tree {
+    pub fn new(scene: &Scene, triangles: Vec<u32>, margin: f32) -> Tree {
         let mut boxes: Vec<(Vec3, Vec3, u32)> = triangles
             .iter()
             .map(|&t| {
@@ -431,7 +434,7 @@ impl Tree {
         }
     }
 
-    fn each_near(&self, [a, b, c]: [Vec3; 3], mut found: impl FnMut(u32)) {
+    pub fn each_near(&self, [a, b, c]: [Vec3; 3], mut found: impl FnMut(u32)) {
         let low = a.min(b).min(c) - self.margin;
         let high = a.max(b).max(c) + self.margin;
         let meets = |l: Vec3, h: Vec3| l.cmple(high).all() && h.cmpge(low).all();

@@ -3,6 +3,8 @@
 use crate::adaptive::Adaptive;
 use crate::contract::{MeshSettings, Strategy};
 use crate::dense::Dense;
+use crate::discontinuity::Discontinuity;
+use crate::prepare::PrepareSettings;
 use crate::sides::{SIDES, lit_side};
 use crate::uniform::Uniform;
 use luxel_core::Scene;
@@ -16,11 +18,18 @@ pub enum Kind {
     Dense,
     /// Uniform at first, then split where neighbours differ.
     Adaptive,
+    /// Adaptive between the limits of umbra and penumbra, along which elements end.
+    Discontinuity,
 }
 
 impl Kind {
     /// All strategies.
-    pub const ALL: [Kind; 3] = [Kind::Uniform, Kind::Dense, Kind::Adaptive];
+    pub const ALL: [Kind; 4] = [
+        Kind::Uniform,
+        Kind::Dense,
+        Kind::Adaptive,
+        Kind::Discontinuity,
+    ];
 
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
@@ -28,6 +37,7 @@ impl Kind {
             Kind::Uniform => "uniform",
             Kind::Dense => "dense",
             Kind::Adaptive => "adaptive",
+            Kind::Discontinuity => "discontinuity",
         }
     }
 
@@ -42,6 +52,15 @@ impl Kind {
             Kind::Uniform => Box::new(Uniform::new(settings)),
             Kind::Dense => Box::new(Dense::new(settings)),
             Kind::Adaptive => Box::new(Adaptive::new(settings)),
+            Kind::Discontinuity => Box::new(Discontinuity::new(settings)),
+        }
+    }
+
+    /// How a scene is to be [prepared](crate::prepare()) for this strategy.
+    pub fn prepare(self, settings: &MeshSettings) -> PrepareSettings {
+        PrepareSettings {
+            shadows: (self == Kind::Discontinuity).then_some(*settings),
+            ..PrepareSettings::for_mesh(settings)
         }
     }
 }

@@ -11,16 +11,24 @@
 //! outlines of contact below `min_contact_m` (a chair's leg).
 //!
 //! Discontinuity lines of zeroth order in the sense of [Heckbert92]: contact edges, found
-//! geometrically. See `contact` for the search and `cut` for the triangulation.
+//! geometrically. See `contact` for the search and `cut` for the triangulation. For the
+//! discontinuity mesh the limits of umbra and penumbra cut as well (see
+//! [`discontinuity`](crate::discontinuity)), and what they cut is filled with triangles about as
+//! large as elements. Contact lines go first: what is left out of shadow lines leaks nothing.
 
-use crate::contact::{Contacts, Groups, Place, contacts, place, root};
+use crate::contact::{Contact, Contacts, Groups, Place, contacts, place, root};
 use crate::contract::MeshSettings;
-use crate::cut::{Effect, End, Frame, Pieces, Weights, crossing, cut, edges_of, fan, on_edge};
-use crate::flat::NONE;
+use crate::cut::{
+    Effect, End, Filling, Frame, Pieces, Weights, crossing, cut, edges_of, fan, on_edge,
+};
+use crate::discontinuity::events::shadow_lines;
+use crate::flat::{NONE, flats};
 use crate::sides::{SIDES, lit_side};
 use luxel_core::{DVec3, Scene, Vec2, Vec3, Warnings};
+use luxel_transport::Bvh;
 use rayon::prelude::*;
 use std::collections::{HashMap, HashSet};
+use std::sync::Arc;
 
 /// What is cut, and how exactly.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,7 +45,13 @@ pub struct PrepareSettings {
     /// Most contact lines on one triangle; the longest are kept, with a warning. Crossings of lines
     /// are bounded too, by the size of the triangle ([`CROSSINGS`]).
     pub max_lines: usize,
+    /// The mesh whose elements are to follow the limits of shadows; `None` draws contacts alone.
+    pub shadows: Option<MeshSettings>,
 }
+
+/// Metres of shadow lines on a triangle: this many element edges, and so many times the length at
+/// which lines an element's edge apart fill it.
+const SHADOW_LENGTH: [f64; 2] = [4.0, 1.0];
 
 /// Most places where lines on a triangle cross each other: this many, and as many again for each
 /// `min_area_m2` of it. Each makes two pieces, so that pieces stay in proportion to elements.
@@ -59,6 +73,7 @@ impl PrepareSettings {
             min_area_m2: 0.25 * mesh.max_area_m2,
             min_contact_m: mesh.max_area_m2.sqrt(),
             max_lines: 2000,
+            shadows: None,
         }
     }
 }
@@ -87,7 +102,7 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         .collect();
     let groups = Groups::of(&scene, &lit, settings.min_area_m2, tolerance);
     let Contacts {
-        lines,
+        mut lines,
         doubled,
         mut left_out,
         unsearched,
@@ -109,16 +124,49 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         "triangles were not searched for contacts: too many meet each other; light may leak there",
         unsearched,
     );
+    let mut scene = scene;
+    if let Some(mesh) = &settings.shadows {
+        let shared = Arc::new(scene);
+        let caster = Bvh::build(&shared);
+        let element_m = (mesh.max_area_m2 as f64).sqrt();
+        let shadows = shadow_lines(
+            &shared, &caster, &groups, &blocks, tolerance, element_m, warnings,
+        );
+        drop(caster);
+        scene = Arc::try_unwrap(shared).unwrap_or_else(|shared| (*shared).clone());
+        lines.extend(shadows);
+        lines.sort_by_key(|c| (c.group, c.triangle));
+    }
     if lines.is_empty() {
         return scene;
     }
+    let mut areas = vec![0.0f32; groups.planes.len()];
+    for t in (0..scene.triangles.len()).filter(|&t| groups.of[t] != NONE) {
+        areas[groups.of[t] as usize] += scene.area(t);
+    }
 
+    let mut shadows_left_out = 0;
     let mut edges = Edges::default();
     let mut cuts: Vec<Cut> = Vec::new();
     for run in lines.chunk_by(|a, b| a.triangle == b.triangle) {
         let t = run[0].triangle;
         let frame = Frame::new(scene.corners(t as usize).map(|p| p.as_dvec3()));
-        let mut inside: Vec<(f64, End, End)> = Vec::new();
+        let mut inside: Vec<Inside> = Vec::new();
+        let spacing = settings.shadows.map(|mesh| {
+            let region = areas[groups.of[t as usize] as usize] / mesh.max_per_region.max(1) as f32;
+            (mesh.max_area_m2.max(region) as f64).sqrt()
+        });
+        let kept;
+        let run = match spacing {
+            Some(spacing) => {
+                let area = scene.area(t as usize) as f64;
+                let most_m = SHADOW_LENGTH[0] * spacing + SHADOW_LENGTH[1] * area / spacing;
+                kept = keep_heaviest(run, most_m);
+                shadows_left_out += run.len() - kept.len();
+                &kept
+            }
+            None => run,
+        };
         for line in run {
             match frame.effect(line.ends, tolerance) {
                 Effect::Nothing => {}
@@ -130,24 +178,38 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
                     }
                 }
                 Effect::Cut(a, b) => {
-                    inside.push((line.length(), a, b));
+                    inside.push(Inside {
+                        weight: line.weight,
+                        length: line.length(),
+                        a,
+                        b,
+                    });
                 }
             }
         }
         let size = scene.area(t as usize) / settings.min_area_m2;
         let crossings = CROSSINGS[0] + CROSSINGS[1] * size as f64;
-        left_out += thin(&mut inside, settings.max_lines, crossings as usize);
-        for (_, a, b) in &inside {
-            for end in [a, b] {
-                if let End::Edge(k, at) = *end {
+        let dropped = thin(&mut inside, settings.max_lines, crossings as usize);
+        left_out += dropped[0];
+        shadows_left_out += dropped[1];
+        for line in &inside {
+            for end in [line.a, line.b] {
+                if let End::Edge(k, at) = end {
                     edges.add(&scene, t, k, at);
                 }
             }
         }
         if !inside.is_empty() {
+            let has_shadow = inside.iter().any(|l| l.weight.is_finite());
+            if has_shadow {
+                // Contact lines first: nothing is in their way then.
+                inside.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+            }
             cuts.push(Cut {
                 triangle: t,
-                lines: inside.into_iter().map(|l| (l.1, l.2)).collect(),
+                contacts: inside.iter().filter(|l| l.weight.is_infinite()).count(),
+                lines: inside.into_iter().map(|l| (l.a, l.b)).collect(),
+                spacing_m: spacing.filter(|_| has_shadow),
             });
         }
     }
@@ -156,12 +218,18 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
         "contact lines left out: too many on one triangle; light may leak along them",
         left_out,
     );
+    warnings.add(
+        scene.name.as_str(),
+        "shadow lines left out: too many on one triangle",
+        shadows_left_out,
+    );
     if edges.map.is_empty() && cuts.is_empty() {
         return scene;
     }
-    edges.settle(tolerance);
     // Lines came group by group; a triangle is in one group only.
     cuts.sort_unstable_by_key(|c| c.triangle);
+    edges.settle(tolerance);
+    edges.fill(&scene, &lit, &cuts);
     let (pieces, failed) = divide(&scene, &edges, &cuts, tolerance);
     warnings.add(
         scene.name.as_str(),
@@ -171,18 +239,48 @@ pub fn prepare(scene: Scene, settings: &PrepareSettings, warnings: &mut Warnings
     rebuild(scene, &groups, pieces)
 }
 
-/// Leaves the longest lines of a triangle, as many as allowed; how many are dropped.
-fn thin(lines: &mut Vec<(f64, End, End)>, most_lines: usize, most_crossings: usize) -> usize {
+/// All contact lines of a triangle, and the heaviest shadow lines up to `most_m` in all.
+fn keep_heaviest(run: &[Contact], most_m: f64) -> Vec<Contact> {
+    let mut sorted = run.to_vec();
+    sorted.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    let mut sum = 0.0;
+    sorted.retain(|c| {
+        if c.weight.is_finite() {
+            sum += c.length();
+        }
+        sum <= most_m
+    });
+    sorted
+}
+
+/// A line within a triangle.
+struct Inside {
+    weight: f64,
+    length: f64,
+    a: End,
+    b: End,
+}
+
+/// Leaves the heaviest lines of a triangle, of contact lines the longest, as many as allowed; how
+/// many contact and shadow lines are dropped.
+fn thin(lines: &mut Vec<Inside>, most_lines: usize, most_crossings: usize) -> [usize; 2] {
     let harmless = lines.len() * lines.len().saturating_sub(1) / 2 <= most_crossings;
     if lines.len() <= most_lines && harmless {
-        return 0;
+        return [0, 0];
     }
-    let before = lines.len();
-    lines.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let count = |lines: &[Inside]| {
+        let contacts = lines.iter().filter(|l| l.weight.is_infinite()).count();
+        [contacts, lines.len() - contacts]
+    };
+    let before = count(lines);
+    lines.sort_by(|a, b| {
+        let heavier = b.weight.total_cmp(&a.weight);
+        heavier.then(b.length.total_cmp(&a.length))
+    });
     lines.truncate(most_lines);
     let placed: Vec<[Weights; 2]> = lines
         .iter()
-        .map(|l| [l.1.weights(), l.2.weights()])
+        .map(|l| [l.a.weights(), l.b.weights()])
         .collect();
     let mut crossings = 0;
     let kept = placed.iter().enumerate().position(|(i, &line)| {
@@ -193,13 +291,18 @@ fn thin(lines: &mut Vec<(f64, End, End)>, most_lines: usize, most_crossings: usi
         crossings > most_crossings
     });
     lines.truncate(kept.unwrap_or(lines.len()));
-    before - lines.len()
+    let after = count(lines);
+    [before[0] - after[0], before[1] - after[1]]
 }
 
 /// Lines inside one triangle.
 struct Cut {
     triangle: u32,
     lines: Vec<(End, End)>,
+    /// The first so many of them are contact lines.
+    contacts: usize,
+    /// Distance of the points with which it is filled, metres, if it has shadow lines.
+    spacing_m: Option<f64>,
 }
 
 /// Points on the edges of triangles, the same for all triangles of an edge.
@@ -272,6 +375,77 @@ impl Edges {
         }
     }
 
+    /// Divides the edges of triangles that are filled into pieces no longer than their spacing.
+    ///
+    /// A neighbour that is not filled gets a fan of slivers; that does not matter where they are
+    /// joined to one parallelogram again, or make no elements. Other edges stay as they are.
+    fn fill(&mut self, scene: &Scene, lit: &[bool], cuts: &[Cut]) {
+        let mut wanted: HashMap<(Place, Place), f64> = HashMap::new();
+        let filled = |t: u32| {
+            let i = cuts.binary_search_by_key(&t, |c| c.triangle).ok()?;
+            cuts[i].spacing_m
+        };
+        for cut in cuts {
+            let Some(spacing) = cut.spacing_m else {
+                continue;
+            };
+            for k in 0..3 {
+                let (key, _) = Edges::key(scene, cut.triangle, k);
+                let known = wanted.entry(key).or_insert(spacing);
+                *known = known.min(spacing);
+            }
+        }
+        if wanted.is_empty() {
+            return;
+        }
+        let mut joins = vec![false; scene.triangles.len()];
+        let flats = flats(scene, lit);
+        for flat in flats.list.iter().filter(|f| f.parallelogram) {
+            if flat.area >= 0.999 * flat.region_area {
+                let run = flat.triangles.start as usize..flat.triangles.end as usize;
+                flats.triangles[run]
+                    .iter()
+                    .for_each(|&t| joins[t as usize] = true);
+            }
+        }
+        let corners: HashSet<Place> = wanted.keys().flat_map(|k| [k.0, k.1]).collect();
+        for t in (0..scene.triangles.len() as u32).filter(|&t| lit[t as usize]) {
+            let near = scene
+                .corners(t as usize)
+                .map(|p| corners.contains(&place(p)));
+            if joins[t as usize] || near.iter().filter(|&&n| n).count() < 2 || filled(t).is_some() {
+                continue;
+            }
+            for k in 0..3 {
+                wanted.remove(&Edges::key(scene, t, k).0);
+            }
+        }
+        for cut in cuts.iter().filter(|c| c.spacing_m.is_some()) {
+            for k in 0..3 {
+                let (key, _) = Edges::key(scene, cut.triangle, k);
+                let Some(spacing) = wanted.remove(&key) else {
+                    continue;
+                };
+                let (edge, _) = self.entry(scene, cut.triangle, k);
+                let least = spacing / edge.length;
+                let ends = [0.0]
+                    .into_iter()
+                    .chain(edge.at.iter().copied())
+                    .chain([1.0]);
+                let ends: Vec<f64> = ends.collect();
+                edge.at = ends
+                    .windows(2)
+                    .flat_map(|w| {
+                        let n = ((w[1] - w[0]) / least - 0.01).ceil().max(1.0) as usize;
+                        let (from, step) = (w[0], (w[1] - w[0]) / n as f64);
+                        (0..n).map(move |i| from + step * i as f64)
+                    })
+                    .skip(1)
+                    .collect();
+            }
+        }
+    }
+
     fn of(&self, scene: &Scene, t: u32, k: usize) -> Option<(&OnEdge, bool)> {
         let (key, turned) = Edges::key(scene, t, k);
         self.map.get(&key).map(|e| (e, turned))
@@ -301,10 +475,8 @@ fn divide(scene: &Scene, edges: &Edges, cuts: &[Cut], tolerance: f64) -> (Vec<Di
                 || cuts.binary_search_by_key(&t, |c| c.triangle).is_ok()
         })
         .map(|t| {
-            let lines = cuts
-                .binary_search_by_key(&t, |c| c.triangle)
-                .map_or(&[][..], |i| cuts[i].lines.as_slice());
-            divide_one(scene, edges, t, lines, tolerance)
+            let cut = cuts.binary_search_by_key(&t, |c| c.triangle);
+            divide_one(scene, edges, t, cut.ok().map(|i| &cuts[i]), tolerance)
         })
         .collect();
     let failed = results.iter().filter(|r| r.1).count();
@@ -315,7 +487,7 @@ fn divide_one(
     scene: &Scene,
     edges: &Edges,
     t: u32,
-    lines: &[(End, End)],
+    lines: Option<&Cut>,
     tolerance: f64,
 ) -> (Divided, bool) {
     let corners = scene.corners(t as usize);
@@ -349,7 +521,7 @@ fn divide_one(
     }
     let mut failed = false;
     let mut pieces = None;
-    if !lines.is_empty() {
+    if let Some(lines) = lines {
         let mut inner: Vec<DVec3> = Vec::new();
         let first_inner = points.len() as u32;
         let mut index = |end: End, points: &mut Vec<Weights>, positions: &mut Vec<Vec3>| match end {
@@ -369,6 +541,7 @@ fn divide_one(
             }
         };
         let pairs: Vec<[u32; 2]> = lines
+            .lines
             .iter()
             .map(|&(a, b)| {
                 [
@@ -377,7 +550,11 @@ fn divide_one(
                 ]
             })
             .collect();
-        pieces = cut(&frame, points.clone(), &pairs, tolerance);
+        let filling = Filling {
+            contacts: lines.contacts,
+            spacing_m: lines.spacing_m,
+        };
+        pieces = cut(&frame, points.clone(), &pairs, filling, tolerance);
         failed = pieces.as_ref().is_none_or(|p| !p.whole);
         if pieces.is_none() {
             points.truncate(first_inner as usize);

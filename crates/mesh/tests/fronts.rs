@@ -695,7 +695,7 @@ proptest! {
             1..6),
         max_area in 0.05f32..5.0,
         splits in prop::collection::vec(0usize..1000, 0..20),
-        kind in 0usize..3,
+        kind in 0usize..Kind::ALL.len(),
     ) {
         let mut b = Builder::new("random");
         let single = b.matte("single", 0.5, 0.5, 0.5);
