@@ -117,7 +117,7 @@ pub struct SolveArguments {
     /// Most time for solving and gathering, as 30s or 5min; what is reached by then is written
     #[arg(long, value_name = "TIME", value_parser = units::duration)]
     pub time: Option<Duration>,
-    /// Mesh strategy: uniform, dense, adaptive or discontinuity (elements follow shadow lines)
+    /// Mesh strategy: uniform, dense, adaptive, discontinuity (elements follow shadow lines) or rex (radiosity textures)
     #[arg(long, value_name = "M", default_value = "uniform", value_parser = parse_mesh)]
     pub mesh: MeshKind,
     /// Solver: stochastic-jacobi, monte-carlo-shooting, direct, jacobi, gauss-seidel, southwell,

@@ -169,6 +169,7 @@ fn shadows_need_fewest_elements_when_elements_follow_them() {
             for (kind, least) in [
                 (MeshKind::Adaptive, adaptive_least),
                 (MeshKind::Uniform, uniform_least),
+                (MeshKind::Rex, 0.9),
             ] {
                 let (m, error, seconds) = at_least(kind, width, n);
                 println!(

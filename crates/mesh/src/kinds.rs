@@ -5,6 +5,7 @@ use crate::contract::{MeshSettings, Strategy};
 use crate::dense::Dense;
 use crate::discontinuity::Discontinuity;
 use crate::prepare::PrepareSettings;
+use crate::rex::Rex;
 use crate::sides::{SIDES, lit_side};
 use crate::uniform::Uniform;
 use luxel_core::Scene;
@@ -20,15 +21,18 @@ pub enum Kind {
     Adaptive,
     /// Adaptive between the limits of umbra and penumbra, along which elements end.
     Discontinuity,
+    /// Radiosity textures: coarse at first, split and merged by the light in each leaf.
+    Rex,
 }
 
 impl Kind {
     /// All strategies.
-    pub const ALL: [Kind; 4] = [
+    pub const ALL: [Kind; 5] = [
         Kind::Uniform,
         Kind::Dense,
         Kind::Adaptive,
         Kind::Discontinuity,
+        Kind::Rex,
     ];
 
     /// Its name on the command line.
@@ -38,6 +42,7 @@ impl Kind {
             Kind::Dense => "dense",
             Kind::Adaptive => "adaptive",
             Kind::Discontinuity => "discontinuity",
+            Kind::Rex => "rex",
         }
     }
 
@@ -53,6 +58,7 @@ impl Kind {
             Kind::Dense => Box::new(Dense::new(settings)),
             Kind::Adaptive => Box::new(Adaptive::new(settings)),
             Kind::Discontinuity => Box::new(Discontinuity::new(settings)),
+            Kind::Rex => Box::new(Rex::new(settings)),
         }
     }
 

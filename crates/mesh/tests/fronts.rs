@@ -516,6 +516,59 @@ fn refinement_stops_at_the_limit_on_elements() {
 }
 
 #[test]
+fn rex_splits_at_a_step_and_merges_where_the_light_has_moved_on() {
+    // Leaves of 0.8 m2 at first. A step of light at x = 1.73 that moves to x = 3.13: leaves are
+    // split there, and merged behind it.
+    let scene = strip();
+    let settings = MeshSettings {
+        min_edge_m: 0.05,
+        ..settings(0.05)
+    };
+    let mut rex = Kind::Rex.build(settings);
+    let mut front = rex.initial(&scene);
+    let uniform = Kind::Uniform.build(settings).initial(&scene).len();
+    assert!(
+        front.len() * 4 < uniform,
+        "coarse at first: {}",
+        front.len()
+    );
+    let least_at = |front: &Front, x: f64| {
+        (0..front.len())
+            .filter(|&e| {
+                let p = &front.polygons(&scene, ElementId::from(e))[0].vertices;
+                p.iter().any(|q| q.x <= x) && p.iter().any(|q| q.x >= x)
+            })
+            .map(|e| front.area[e])
+            .fold(f32::MAX, f32::min)
+    };
+    let mut lengths = Vec::new();
+    for edge in [1.73, 3.13] {
+        for _ in 0..8 {
+            let solution = step_at(&scene, &front, edge);
+            let wish = neighbour_difference(&scene, &front, &solution);
+            let Some((next, change)) = rex.refine(&scene, &front, &solution, &wish) else {
+                break;
+            };
+            assert_change_keeps_flux(&front, &next, &change, &solution);
+            front = next;
+            assert_covers(&scene, &front);
+        }
+        lengths.push(front.len());
+        assert!(
+            least_at(&front, edge) < 0.03,
+            "small at {edge}: {}, {lengths:?}",
+            least_at(&front, edge)
+        );
+    }
+    assert!(
+        least_at(&front, 1.73) > 0.09,
+        "merged: {}",
+        least_at(&front, 1.73)
+    );
+    assert!(lengths.iter().all(|&n| n < 400), "{lengths:?}");
+}
+
+#[test]
 fn neighbours_are_found_across_patches_of_one_surface() {
     // An L-shaped floor: no parallelogram, so several patches. A step between two of them shows.
     let mut b = Builder::new("L");
@@ -733,6 +786,37 @@ proptest! {
         }
         assert_covers(&scene, &front);
         assert_tree(&scene, &front);
+    }
+
+    /// Any wishes, on quadrilaterals and triangles: a rex keeps flux and limits, finds every point.
+    #[test]
+    fn random_wishes_of_a_rex_keep_flux(
+        wishes in prop::collection::vec(prop::collection::vec(0.0f32..0.2, 64), 1..5),
+        seed in 0u32..1000,
+    ) {
+        let mut b = Builder::new("both");
+        let thin = b.thin("thin", 0.5, 0.5, 0.5);
+        b.on("wall", thin)
+            .polygon(&[v(0., 0., 0.), v(4., 0., 0.), v(4., 1., 0.), v(0., 1., 0.)]);
+        b.on("gable", thin).polygon(&[v(0., 2., 0.), v(3., 2., 0.), v(1., 4., 0.)]);
+        let scene = b.build();
+        let limit = MeshSettings { min_edge_m: 0.05, max_elements: 600, ..settings(0.1) };
+        let mut rex = Kind::Rex.build(limit);
+        let mut front = rex.initial(&scene);
+        for wish in wishes {
+            let n = front.len();
+            let exitance: Vec<f32> =
+                (0..3 * n).map(|i| ((i as u32 * 7919 + seed) % 101) as f32).collect();
+            let solution = Solution { layers: Layers { groups: vec!["g".into()] }, exitance, ..Solution::default() };
+            // Most wishes are nothing, so that leaves merge too.
+            let wish = RefinementWish((0..n).map(|e| (wish[e * 7 % wish.len()] - 0.1).max(0.0)).collect());
+            if let Some((next, change)) = rex.refine(&scene, &front, &solution, &wish) {
+                assert_change_keeps_flux(&front, &next, &change, &solution);
+                prop_assert!(next.len() <= 600);
+                front = next;
+            }
+        }
+        assert_covers(&scene, &front);
     }
 
     /// Any wishes: flux is kept, neighbours stay within one level, limits are held.
