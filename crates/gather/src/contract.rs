@@ -56,7 +56,8 @@ pub struct Irradiance {
     pub values: Vec<f32>,
     /// Standard error of each layer's photometric value, `[receiver * groups + group]`, lux.
     pub layer_errors: Vec<f32>,
-    /// Standard error of the photometric total, one a receiver, lux. Not the root of the sum of
+    /// Standard error of the photometric total, one a receiver, lux: 1.96 times it is half of a 95 %
+    /// interval. Not the root of the sum of
     /// squares of the layers' errors: one ray carries all layers.
     pub errors: Vec<f32>,
     /// Gather and shadow rays used.

@@ -9,21 +9,26 @@
 //! The random numbers of a receiver depend on the seed, its place and its normal, so an answer
 //! does not depend on which other receivers are asked with it.
 //!
-//! Limit: a ray brings the mean exitance of an element. Closer to a surface than its elements
-//! are large, the step from element to element is felt: in a corner about the difference of
-//! neighbouring elements, and that is not part of the stated error.
+//! Where a ray ends close by, what is sent from that point is estimated anew instead of taking the mean
+//! of its element (`nearby`), so the elements are not seen in corners and at contact lines. What the
+//! noise of the solved elements leaves at a receiver is in its error, too (`element_noise`).
+//!
+//! Limit: what is left of the elements' size where they are seen from further away than a few of
+//! their edges is not part of the stated error.
 //!
 //! Source: final gather [Reichert92], [Christensen97]; randomised nets as error estimate
 //! [Owen97].
 
 use crate::bright::Bright;
 use crate::contract::{Accuracy, Irradiance, Receiver};
+use crate::element_noise as noise;
 use crate::lights::DirectLights;
 use crate::lottery::{Field, Lottery};
+use crate::nearby::{Nearby, Place, Second};
 use crate::shadow::{self, Rays, SUBSETS, Site, Strong, Subsets};
 use crate::tree::COARSE;
 use luxel_core::quantity::LAMBERTIAN;
-use luxel_core::{Front, Scene, Solution};
+use luxel_core::{ElementId, Front, Scene, Solution};
 use luxel_transport::sampling::{cosine_hemisphere, hash};
 use luxel_transport::{Hit, Ray, RayCaster, Sequence};
 use rayon::prelude::*;
@@ -46,6 +51,7 @@ const BRIGHT: usize = 1;
 
 /// Answers what light falls on any receiver.
 pub struct Gatherer<'a> {
+    scene: &'a Scene,
     front: &'a Front,
     caster: &'a dyn RayCaster,
     solution: &'a Solution,
@@ -55,6 +61,10 @@ pub struct Gatherer<'a> {
     outside: Vec<f64>,
     /// No ray can bring anything: nothing is solved and there is no sky.
     dark: bool,
+    /// One draw of the noise of each element, lm/m²; empty when there is none.
+    noise: Vec<f32>,
+    /// Variance at a receiver over the mean square noise of the elements that its rays meet.
+    noise_left: f64,
 }
 
 /// What one thread reuses from receiver to receiver.
@@ -62,6 +72,9 @@ pub struct Gatherer<'a> {
 struct Scratch<'a> {
     rays: Rays,
     hits: Vec<Hit>,
+    second: Second,
+    /// Sum over the gather rays of the squares of the noise of the elements that they met.
+    noise: f64,
     strong: Vec<Strong<'a>>,
     /// Weak lights, and bright elements.
     lotteries: [Lottery; 2],
@@ -76,7 +89,7 @@ impl<'a> Gatherer<'a> {
     ///
     /// Precondition: `solution`, `front` and `lights` belong to `scene`.
     pub fn new(
-        scene: &Scene,
+        scene: &'a Scene,
         front: &'a Front,
         caster: &'a dyn RayCaster,
         solution: &'a Solution,
@@ -97,6 +110,7 @@ impl<'a> Gatherer<'a> {
         }
         let dark = outside.iter().all(|&o| o == 0.0) && solution.exitance.iter().all(|&b| b == 0.0);
         Gatherer {
+            scene,
             front,
             caster,
             solution,
@@ -104,15 +118,27 @@ impl<'a> Gatherer<'a> {
             bright: Bright::new(scene, front, caster, solution),
             outside,
             dark,
+            noise: Vec::new(),
+            noise_left: 0.0,
         }
+    }
+
+    /// Takes the noise of the elements into the stated errors: `noise` is one draw of what the
+    /// photometric exitance of each element is wrong by, lm/m², such as half the difference of two
+    /// independent solutions of which the mean is gathered.
+    pub fn with_element_noise(mut self, noise: Vec<f32>) -> Self {
+        debug_assert!(noise.is_empty() || noise.len() == self.front.len());
+        self.noise_left = noise::left(self.scene, self.front, self.caster, &noise);
+        self.noise = noise;
+        self
     }
 
     /// Irradiance at each receiver, per layer, with its standard error.
     ///
-    /// Lux of each band. The error is that of the random numbers: of rays, not of the solved
-    /// elements. It is stated so that the mean square of true over stated error is 1. Exactly
-    /// zero where nothing is seen. The same bits for any thread count, order and grouping of
-    /// receivers. A receiver may lie exactly on a surface.
+    /// Lux of each band. The error is that of the random numbers, of rays and of the solved elements
+    /// (see [`Gatherer::with_element_noise`]). It is stated so that the value plus and minus 1.96
+    /// times it is a 95 % interval. Exactly zero where nothing is seen. The same bits for any
+    /// thread count, order and grouping of receivers. A receiver may lie exactly on a surface.
     pub fn irradiance_at(&self, receivers: &[Receiver], accuracy: &Accuracy) -> Irradiance {
         self.irradiance_with_slack(receivers, &[], accuracy)
     }
@@ -201,6 +227,7 @@ impl<'a> Gatherer<'a> {
             .min(MOST_SHADOW / SUBSETS as u32);
 
         s.indirect.reset(columns);
+        s.noise = 0.0;
         s.lotteries.iter_mut().for_each(|l| l.reset(columns));
         let least = 0.5 * accuracy.relative;
         let lots = &mut s.lotteries[WEAK].lots;
@@ -221,7 +248,7 @@ impl<'a> Gatherer<'a> {
             }
         }
         if !self.dark {
-            self.gather(&site, fewest, &mut s.indirect, &mut s.rays, &mut s.hits);
+            self.gather(&site, fewest, s);
         }
 
         // Parts: strong lights, then the lotteries, then the gather rays.
@@ -241,7 +268,11 @@ impl<'a> Gatherer<'a> {
                 .sum();
             let wanted = (accuracy.relative as f64 * total).max(accuracy.floor_lux as f64);
             let variance: f64 = s.variances.iter().sum();
-            if variance <= wanted * wanted {
+            // More rays do not take the noise of the elements away, so it must not call for ever
+            // more of them: they bring half of what is asked at least.
+            let wanted = wanted * wanted;
+            let goal = (wanted - self.noise_variance(s)).max(0.25 * wanted);
+            if variance <= goal {
                 break;
             }
             // Doubling a part costs as many rays as it has and takes away at least half its
@@ -275,7 +306,7 @@ impl<'a> Gatherer<'a> {
                 }
                 Some(_) => {
                     let until = 2 * s.indirect.taken;
-                    self.gather(&site, until, &mut s.indirect, &mut s.rays, &mut s.hits);
+                    self.gather(&site, until, s);
                     s.indirect.variance(columns, None)
                 }
             };
@@ -296,7 +327,8 @@ impl<'a> Gatherer<'a> {
             *out = v.sqrt() as f32;
         }
         let strong: f64 = s.strong.iter().map(|l| l.variance()).sum();
-        *error = (strong + random.iter().sum::<f64>()).sqrt() as f32;
+        let elements = self.noise_variance(s);
+        *error = (strong + random.iter().sum::<f64>() + elements).sqrt() as f32;
         let shadow: u64 = s.strong.iter().map(|l| l.rays() as u64).sum();
         let drawn: u64 = s.lotteries.iter().map(|l| l.subsets.rays() as u64).sum();
         shadow + drawn + s.indirect.rays() as u64
@@ -341,19 +373,28 @@ impl<'a> Gatherer<'a> {
         lottery.cast(&field, site, until, self.caster, rays, bring);
     }
 
+    /// Variance of the photometric value by the noise of the elements: the mean square noise of
+    /// those that the rays met, less what the mean over many of them takes away.
+    fn noise_variance(&self, s: &Scratch<'_>) -> f64 {
+        self.noise_left * s.noise / s.indirect.rays().max(1) as f64
+    }
+
     /// Takes gather rays until each subset has `until`.
-    fn gather(
-        &self,
-        site: &Site,
-        until: u32,
-        sums: &mut Subsets,
-        buffer: &mut Rays,
-        hits: &mut Vec<Hit>,
-    ) {
+    fn gather(&self, site: &Site, until: u32, s: &mut Scratch<'a>) {
         let columns = self.lights.columns;
+        let (scene, front, caster) = (self.scene, self.front, self.caster);
+        let nearby = Nearby {
+            scene,
+            front,
+            caster,
+            solution: self.solution,
+            lights: self.lights,
+            bright: &self.bright,
+            outside: &self.outside,
+        };
+        let (sums, buffer) = (&mut s.indirect, &mut s.rays);
         for g in 0..SUBSETS {
             let sequence = Sequence::new(site.key, g as u32);
-            let row = &mut sums.sums[g * columns..(g + 1) * columns];
             let mut from = sums.taken;
             while from < until {
                 let to = until.min(from + BATCH);
@@ -364,29 +405,57 @@ impl<'a> Gatherer<'a> {
                     direction: cosine_hemisphere(sequence.point2(i), site.normal),
                     t_max: f32::INFINITY,
                 }));
-                hits.resize(buffer.rays.len(), Hit::MISS);
-                self.caster.closest(&buffer.rays, hits);
-                for (ray, hit) in buffer.rays.iter().zip(hits.iter()) {
+                s.hits.resize(buffer.rays.len(), Hit::MISS);
+                caster.closest(&buffer.rays, &mut s.hits);
+                let row = &mut sums.sums[g * columns..(g + 1) * columns];
+                for (index, (ray, hit)) in (from..).zip(buffer.rays.iter().zip(&s.hits)) {
                     if !hit.is_hit() {
                         add(row, &self.outside, |&o| o);
                         continue;
                     }
                     let at = ray.origin + ray.direction * hit.t;
-                    if let Some(e) = self.front.element_at(hit.triangle as usize, hit.side, at) {
-                        let first = e.index() * columns;
-                        let Some(b) = self.solution.exitance.get(first..first + columns) else {
-                            continue;
-                        };
-                        match self.bright.kept.get(e.index()) {
-                            Some(&kept) if kept < 1.0 => add(row, b, |&b| (b * kept) as f64),
-                            _ => add(row, b, |&b| b as f64),
-                        }
+                    let Some(element) = front.element_at(hit.triangle as usize, hit.side, at)
+                    else {
+                        continue;
+                    };
+                    // What the lottery brings of a bright element must not come twice.
+                    let kept = self.bright.kept.get(element.index());
+                    let whole = kept.is_none_or(|&kept| kept == 1.0);
+                    let near = nearby.normal_if_near(hit, element).filter(|_| whole);
+                    if let Some(normal) = near {
+                        let subset = g as u32;
+                        s.second.places.push(Place {
+                            subset,
+                            index,
+                            element,
+                            at,
+                            normal,
+                            share: [1.0; 3],
+                        });
+                    } else {
+                        self.add_mean(element, row);
+                        let wrong = self.noise.get(element.index()).copied().unwrap_or(0.0);
+                        s.noise += (wrong * wrong) as f64;
                     }
                 }
+                s.noise += nearby.gather(site, &self.noise, &mut s.second, sums, buffer);
                 from = to;
             }
         }
-        sums.taken = until;
+        s.indirect.taken = until;
+    }
+
+    /// Adds the mean exitance of an element, but for what is asked as from a light.
+    #[inline]
+    fn add_mean(&self, element: ElementId, row: &mut [f64]) {
+        let first = element.index() * row.len();
+        let Some(b) = self.solution.exitance.get(first..first + row.len()) else {
+            return;
+        };
+        match self.bright.kept.get(element.index()) {
+            Some(&kept) if kept < 1.0 => add(row, b, |&b| (b * kept) as f64),
+            _ => add(row, b, |&b| b as f64),
+        }
     }
 }
 

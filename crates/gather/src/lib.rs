@@ -7,11 +7,13 @@
 mod bright;
 pub mod contract;
 pub mod element_direct;
+mod element_noise;
 mod emitter;
 pub mod fate;
 pub mod gather;
 pub mod lights;
 mod lottery;
+mod nearby;
 mod shadow;
 mod tree;
 

@@ -19,9 +19,9 @@ use luxel_transport::{Ray, RayCaster, Sequence};
 /// Independent estimates of everything that is random.
 pub(crate) const SUBSETS: usize = 8;
 /// With 8 subsets the true error over the estimated one follows Student's t with 7 degrees of
-/// freedom, whose variance is 7 / 5: so much larger is the variance that we state, and the mean
-/// square of error over stated error is 1.
-pub(crate) const STUDENT: f64 = (SUBSETS as f64 - 1.0) / (SUBSETS as f64 - 3.0);
+/// freedom, of which 95 % lie within 2.365 and not within 1.960: so much larger is the error that we
+/// state, and the value +- 1.96 times it is a 95 % interval.
+pub(crate) const STUDENT: f64 = (2.364_624 / 1.959_964) * (2.364_624 / 1.959_964);
 /// Strongest lights that are computed one by one.
 const STRONG: usize = 24;
 /// So many are, however weak.

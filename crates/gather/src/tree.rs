@@ -234,6 +234,41 @@ impl LightTree {
         sent * here / d2
     }
 
+    /// One light of all and the probability of having taken it; `u` uniform in 0..1. Cheaper than a
+    /// cut where one light is all that is asked.
+    pub fn pick_any(
+        &self,
+        lights: &[Light],
+        point: Vec3,
+        normal: Vec3,
+        u: f64,
+    ) -> Option<(u32, f64)> {
+        let far = |&l: &u32| lights[l as usize].guess(point, normal, 0.0) as f64;
+        let near = if self.nodes.is_empty() {
+            0.0
+        } else {
+            self.guess(0, lights, point, normal, 0.0) as f64
+        };
+        let whole = near + self.distant.iter().map(far).sum::<f64>();
+        if whole <= 0.0 {
+            return None;
+        }
+        let mut pick = u * whole;
+        for l in &self.distant {
+            let share = far(l);
+            if pick < share {
+                return Some((*l, share / whole));
+            }
+            pick -= share;
+        }
+        if near <= 0.0 {
+            return None;
+        }
+        let rest = (pick / near).clamp(0.0, 1.0);
+        let (light, p) = self.pick(Item::Node(0), lights, point, normal, 0.0, rest)?;
+        Some((light, p * near / whole))
+    }
+
     /// One light of an item and the probability of having taken it; `u` uniform in 0..1.
     /// `None` when no light of the item reaches the receiver.
     pub fn pick(

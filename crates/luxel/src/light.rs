@@ -488,6 +488,7 @@ fn make_report(
     let elements = solution.relative_error as f64;
     let vertices = report::relative_error(mesh);
     let reached = vertices.unwrap_or(0.0).max(elements);
+    let within = report::Within::new(mesh, asked).share(mesh);
     let progress = session.progress();
     let energy = energy(session, solution);
     session.clock_mut().end(Stage::Write);
@@ -518,6 +519,7 @@ fn make_report(
             reached: Some(reached),
             elements: Some(elements),
             vertices,
+            within,
             unshot_share: Some(solution.unshot_share as f64),
         },
         energy,
@@ -540,7 +542,7 @@ fn make_report(
             ev100: exposure.ev100() as f64,
             scale_per_cd_m2: exposure.scale as f64,
         }),
-        surfaces: report::surface_statistics(session.scene(), mesh),
+        surfaces: report::surface_statistics(session.scene(), mesh, asked),
         warnings: report::oddities(session.warnings()),
         settings: job.settings.to_json(),
         seed: job.settings.seed,

@@ -16,22 +16,14 @@ pub struct Answer {
 
 /// Noise that elements may have for that of a receiver, which sees hundreds of them.
 const ROUGHER: f64 = 3.0;
-/// What of the elements' noise is left at a receiver (0.09 was measured in a furnished office).
-const LEFT: f64 = 0.1;
 
 /// Solves the session as far as asked and gathers at `receivers`.
 pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_>) -> Answer {
     session.aim(ROUGHER * session.settings().error);
     let solved = work::solve(session, watch, |_| ());
     let solution = session.solution();
-    let noise = LEFT * session.progress().relative_error.min(1.0);
-    let mut accuracy = session.accuracy(&solution);
-    // Both noises together make the error that was asked for.
-    let asked = session.settings().error;
-    let share = (1.0 - (noise / asked).min(LEFT * ROUGHER).powi(2)).sqrt() as f32;
-    accuracy.relative *= share;
-    accuracy.floor_lux *= share;
-    let (mut irradiance, gathered) = work::gather(
+    let accuracy = session.accuracy(&solution);
+    let (irradiance, gathered) = work::gather(
         &session.gatherer(&solution, session.lights()),
         &Gathering {
             receivers,
@@ -47,9 +39,7 @@ pub fn probe(session: &mut Session, receivers: &[Receiver], watch: &mut Watch<'_
     let mut met = true;
     for receiver in 0..irradiance.errors.len() {
         let value = irradiance.lux(receiver);
-        let error = &mut irradiance.errors[receiver];
-        met &= *error <= (accuracy.relative * value).max(accuracy.floor_lux);
-        *error = error.hypot(noise as f32 * value);
+        met &= irradiance.errors[receiver] <= (accuracy.relative * value).max(accuracy.floor_lux);
     }
     Answer {
         irradiance,

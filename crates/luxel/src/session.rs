@@ -443,8 +443,8 @@ impl Session {
     /// every number shown.
     ///
     /// `values[receiver * columns + column]` in lux of each band, with one standard error a layer
-    /// and one for the total. The errors hold the noise of gather and shadow rays; the solution's
-    /// own error is in [`Solution::relative_error`].
+    /// and one for the total, which holds the noise of gather and shadow rays and that of the
+    /// elements; 1.96 times it is half of a 95 % interval.
     pub fn irradiance_at(
         &self,
         solution: &Solution,
@@ -463,15 +463,25 @@ impl Session {
         lights: &'a DirectLights,
     ) -> Gatherer<'a> {
         Gatherer::new(&self.scene, &self.front, &self.caster, solution, lights)
+            .with_element_noise(self.noise())
+    }
+
+    /// One draw of the noise of each element's exitance, lm/m².
+    fn noise(&self) -> Vec<f32> {
+        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
+        let transport = transport(&self.settings, &self.factors, &lines);
+        self.solver
+            .noise(&self.matter.problem(transport, self.settings.seed))
     }
 
     /// The accuracy that the settings ask for, with darkness measured against `solution`.
     pub fn accuracy(&self, solution: &Solution) -> Accuracy {
         // A light seen through a gap must be found before the spread of the rays is believed.
         let fewest = (FEWEST_RAYS * (0.02 / self.settings.error).powi(2)).clamp(32.0, 512.0) as u32;
+        let relative = self.settings.error as f32;
         Accuracy {
-            relative: self.settings.error as f32,
-            floor_lux: DARK * self.settings.error as f32 * self.typical_illuminance(solution),
+            relative,
+            floor_lux: DARK * relative * self.typical_illuminance(solution),
             rays: [fewest, 16384],
             seed: self.settings.seed,
         }

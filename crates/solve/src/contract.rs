@@ -92,6 +92,12 @@ pub trait Solver: Send {
     /// Exitance and signed unshot of the present state; never includes the ambient term.
     fn solution(&self, problem: &Problem<'_>) -> Solution;
 
+    /// One draw of what the photometric exitance of each element is wrong by, lm/m², with the
+    /// variance of the solution's noise; empty where there is no noise or nothing is known of it.
+    fn noise(&self, _problem: &Problem<'_>) -> Vec<f32> {
+        Vec::new()
+    }
+
     /// Carries the state over to a new front and restarts from the residual
     /// E + rho F B - B of the carried solution. `problem` is the new one.
     fn restart(&mut self, change: &FrontChange, problem: &Problem<'_>);

@@ -519,6 +519,27 @@ impl Solver for StochasticJacobi {
         }
     }
 
+    fn noise(&self, problem: &Problem<'_>) -> Vec<f32> {
+        // Right after a start or a resumption the chains hold the same.
+        if self.progress.step == 0 || self.exitance.is_empty() {
+            return Vec::new();
+        }
+        let columns = problem.columns();
+        // Var(a X + b Y) = a b Var(X - Y), and the stored result has its part of the mean.
+        let [a, b] = self.shares();
+        let part = (a * b).sqrt() * (1.0 - self.stored_weight());
+        let [x, y] = [&self.chains[0], &self.chains[1]];
+        let wrong = |i: usize| {
+            (0..columns)
+                .map(|k| weight(k) * (x.exitance(problem, i, k) - y.exitance(problem, i, k)))
+                .sum::<f64>()
+        };
+        (0..problem.len())
+            .into_par_iter()
+            .map(|i| (part * wrong(i)) as f32)
+            .collect()
+    }
+
     fn restart(&mut self, change: &FrontChange, problem: &Problem<'_>) {
         if self.exitance.is_empty() {
             return;
