@@ -11,6 +11,7 @@ pub mod direct;
 pub mod gauss_seidel;
 pub mod haar_wavelet;
 pub mod hierarchical;
+pub mod importance;
 pub mod jacobi;
 pub mod kinds;
 mod line_pass;

@@ -97,6 +97,8 @@ impl LinePlan {
     /// send: A_i |B_i - mean|, summed over groups after each was scaled to the same whole, so
     /// that a dim group is served as well.
     ///
+    /// Both are weighted with the importance of the element, if the problem has some.
+    ///
     /// Counts are powers of two, and at least expected to be above zero on every element.
     pub fn distribute(&mut self, problem: &Problem<'_>, sent: &Sent<'_>, lines: u64, seed: u32) {
         let columns = problem.columns();
@@ -108,13 +110,16 @@ impl LinePlan {
                 .map(|k| weight(k) * (row[k] - level[k]).abs() as f64)
                 .sum()
         };
-        let receives =
-            |i: usize| -> f64 { problem.area[i].sqrt() * reflectance(problem, i).max(0.1) };
+        // Least is the error that matters with the root of the importance of what receives.
+        let receives = |i: usize| -> f64 {
+            let matters = problem.importance_of(i).sqrt();
+            problem.area[i].sqrt() * reflectance(problem, i).max(0.1) * matters
+        };
 
         let row = |i: usize| &sent.exitance[i * columns..(i + 1) * columns];
         let whole = sum_over(n, groups + 1, |i, sum| {
             for g in 0..groups {
-                sum[g] += problem.area[i] * deviation(row(i), g);
+                sum[g] += problem.importance_of(i) * problem.area[i] * deviation(row(i), g);
             }
             sum[groups] += receives(i);
         });
@@ -140,7 +145,7 @@ impl LinePlan {
                 }
                 let sends: f64 = (0..groups)
                     .filter(|&g| whole[g] > 0.0)
-                    .map(|g| area * deviation(row(i), g) / whole[g])
+                    .map(|g| problem.importance_of(i) * area * deviation(row(i), g) / whole[g])
                     .sum();
                 let share = by_receiving * receives(i) / receiving + by_sending * sends;
                 let expected = lines as f64 * share;

@@ -2,5 +2,6 @@
 
 mod balance;
 mod common;
+mod importance;
 mod reference;
 mod solvers;
