@@ -298,7 +298,7 @@ impl LinkSolver {
     }
 
     /// The other end of a link of `node`, and the slopes at this end and at the other.
-    fn across<'a>(link: &'a Link, node: usize) -> (usize, &'a [f32; 3], &'a [f32; 3]) {
+    fn across(link: &Link, node: usize) -> (usize, &[f32; 3], &[f32; 3]) {
         let near = usize::from(link.ends[0] as usize != node);
         let far = 1 - near;
         (
