@@ -161,6 +161,11 @@ impl Frame {
         })
     }
 
+    /// How much of `v` points along the normal.
+    pub fn facing(&self, v: DVec3) -> f64 {
+        v.dot(self.normal.normalize_or_zero())
+    }
+
     /// The point with these weights, metres.
     pub fn point(&self, w: Weights) -> DVec3 {
         let [a, b, c] = self.corners;

@@ -566,11 +566,12 @@ fn divide_one(
         positions.push(frame.point(*w).as_vec3());
     }
     mark_runs(scene, edges, t, &mut pieces);
-    // What rounding to f32 made flat has no area to receive light.
+    // What rounding to f32 made flat has no area to receive light; what it turned over lies on
+    // its neighbours, and its back would face the light.
     pieces.triangles.retain(|(c, _)| {
         let [a, b, c] = c.map(|i| positions[i as usize].as_dvec3());
         let size = (b - a).length().max((c - a).length());
-        (b - a).cross(c - a).length() > 1e-9 * size * size
+        frame.facing((b - a).cross(c - a)) > 1e-9 * size * size
     });
     (
         Divided {

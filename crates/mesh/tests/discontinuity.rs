@@ -240,6 +240,15 @@ proptest! {
             // Corners rounded to f32 and slivers without area.
             prop_assert!((old - new).abs() < 1e-4 * old.max(0.1), "{old} m2, now {new}");
         }
+        let normal = |scene: &Scene, t: u32| {
+            let [a, b, c] = scene.corners(t as usize).map(|p| p.as_dvec3());
+            (b - a).cross(c - a)
+        };
+        for (before, after) in scene.surfaces.iter().zip(&new.surfaces) {
+            let whole = normal(&scene, before.triangles.start);
+            let turned = after.triangles.clone().filter(|&t| normal(&new, t).dot(whole) <= 0.0);
+            prop_assert_eq!(turned.count(), 0, "pieces face as the whole does");
+        }
         for t in 0..new.triangles.len() {
             prop_assert!(front.patch_of[t].iter().any(|p| p.is_some()));
         }
