@@ -472,7 +472,7 @@ impl Session {
     /// One draw of the noise of each element's exitance, lm/m².
     fn noise(&self) -> Vec<f32> {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.settings, &self.factors, &lines);
+        let transport = transport(&self.settings, &self.factors, &lines, &None);
         self.solver
             .noise(&self.matter.problem(transport, self.settings.seed))
     }
