@@ -331,7 +331,7 @@ impl<'a> Gatherer<'a> {
         *error = (strong + random.iter().sum::<f64>() + elements).sqrt() as f32;
         let shadow: u64 = s.strong.iter().map(|l| l.rays() as u64).sum();
         let drawn: u64 = s.lotteries.iter().map(|l| l.subsets.rays() as u64).sum();
-        shadow + drawn + s.indirect.rays() as u64
+        shadow + drawn + s.indirect.rays() as u64 + std::mem::take(&mut s.second.rays)
     }
 
     /// The sum of all parts, all columns.

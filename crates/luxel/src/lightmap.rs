@@ -12,7 +12,7 @@ use std::time::Instant;
 /// has at least and at most.
 const TEXEL_M: f64 = 0.05;
 const FEWEST_TEXELS: f64 = 60_000.0;
-const MOST_TEXELS: f64 = 400_000.0;
+const MOST_TEXELS: f64 = 250_000.0;
 /// Longest edge of a page: what every graphics card can show.
 const LARGEST_PAGE: u32 = 4096;
 /// Most pages.
