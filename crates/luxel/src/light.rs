@@ -504,8 +504,7 @@ fn make_report(
                 cpu_s: (seconds.cpu > 0.0).then_some(seconds.cpu),
             }
         });
-    let met = reached <= asked && within.is_none_or(|share| share >= report::ENOUGH);
-    let state = match (stopped, met) {
+    let state = match (stopped, reached <= asked) {
         (true, _) => State::Stopped,
         (false, true) => State::Finished,
         (false, false) => State::NotMet,

@@ -33,9 +33,6 @@ const MOST_REFINEMENTS: u32 = 4;
 /// receiver is.
 const DARK: f32 = 0.1;
 
-/// Half width of the 95 % interval in standard errors.
-const INTERVAL: f64 = 1.96;
-
 /// Fewest gather rays for an accuracy of 2 %; they grow as the inverse square.
 const FEWEST_RAYS: f64 = 256.0;
 
@@ -477,12 +474,11 @@ impl Session {
             .noise(&self.matter.problem(transport, self.settings.seed))
     }
 
-    /// The accuracy that the settings ask for, with darkness measured against `solution`: standard
-    /// errors of which 1.96 make the asked error, so that 95 % of all values are within it.
+    /// The accuracy that the settings ask for, with darkness measured against `solution`.
     pub fn accuracy(&self, solution: &Solution) -> Accuracy {
         // A light seen through a gap must be found before the spread of the rays is believed.
         let fewest = (FEWEST_RAYS * (0.02 / self.settings.error).powi(2)).clamp(32.0, 512.0) as u32;
-        let relative = (self.settings.error / INTERVAL) as f32;
+        let relative = self.settings.error as f32;
         Accuracy {
             relative,
             floor_lux: DARK * relative * self.typical_illuminance(solution),

@@ -305,9 +305,6 @@ pub fn surface_statistics(scene: &Scene, mesh: &LitMesh, asked: f64) -> Vec<Surf
 /// illuminance of all that is shown: 0.2 % of the mean for 2 %.
 const DARK: f64 = 0.1;
 
-/// An accuracy is met when this share of the vertices has it.
-pub const ENOUGH: f64 = 0.95;
-
 /// What was asked of the vertices: an error of at most `asked` times the illuminance there, or times
 /// a tenth of the mean of all where that is more.
 #[derive(Clone, Copy, Debug, PartialEq)]
