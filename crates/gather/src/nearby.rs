@@ -27,7 +27,7 @@ use luxel_transport::{Hit, Ray, RayCaster, Sequence};
 /// 7.0 % (24 % without), for 2.6, 2.7 and 2.9 CPU s.
 const NEAR: f32 = 4.0;
 
-/// A path goes on so often, unless said, while it ends near by: in the gap behind a row of books light is
+/// A path goes on at most so often while it ends near by: in the gap behind a row of books light is
 /// met after several turns only. What is beyond is left to the mean of the element. In the office as
 /// above, all turns give 3.1 % for 4.6 CPU s.
 pub(crate) const DEEPEST: u32 = 8;

@@ -70,10 +70,6 @@ pub struct Outcome {
 /// With millions of vertices the eye averages over many, and a pixel shows more than one.
 const MOST_RAYS: f64 = 2.1e8;
 
-/// Turns of gather paths near by, for what is shown: eight, as `probe` takes, need ten times the work in
-/// furnished rooms, most of it behind books.
-pub(crate) const SHOWN_TURNS: u32 = 0;
-
 /// When not even so many rays are left for a vertex, vertices share them.
 const FEW_RAYS: f64 = 256.0;
 
@@ -224,7 +220,7 @@ fn gather(
     let most_rays = MOST_RAYS * 0.05 / settings.error;
     let sites = sites(mesh, most_rays);
     let (asked, end) = work::gather(
-        &session.gatherer(&merged, &lights).with_turns(SHOWN_TURNS),
+        &session.gatherer(&merged, &lights),
         &Gathering {
             receivers: &sites.receivers,
             weights: &sites.weights,

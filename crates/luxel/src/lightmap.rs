@@ -1,6 +1,5 @@
 //! Lightmaps of a session: laid out by its front, asked round by round as far as time allows.
 
-use crate::light::SHOWN_TURNS;
 use crate::session::Session;
 use crate::sites::Sites;
 use crate::watch::Watch;
@@ -62,7 +61,7 @@ pub(crate) fn light(
     watch: &mut Watch<'_>,
 ) -> Made {
     let (merged, lights) = (solution.merged(), session.lights().merged());
-    let gatherer = session.gatherer(&merged, &lights).with_turns(SHOWN_TURNS);
+    let gatherer = session.gatherer(&merged, &lights);
     let accuracy = session.accuracy(solution);
     let mut sparse = Sparse::new(charts, 0.5 * session.settings().error as f32);
     let (began, bound) = (Instant::now(), session.time_left());

@@ -42,7 +42,10 @@ fn asked(session: &Session, receivers: &[Receiver], rays: u32) -> Vec<[f64; 2]> 
         rays: [rays; 2],
         seed: session.settings().seed,
     };
-    let answer = session.irradiance_at(&session.solution(), receivers, &accuracy);
+    let solution = session.solution();
+    // As `probe` asks.
+    let gatherer = session.gatherer(&solution, session.lights()).with_turns(8);
+    let answer = gatherer.irradiance_at(receivers, &accuracy);
     (0..receivers.len())
         .map(|k| [answer.lux(k) as f64, answer.errors[k] as f64])
         .collect()
