@@ -144,7 +144,8 @@ pub struct Light {
     /// Folder to write (default: SCENE.lit beside the scene)
     #[arg(short, long, value_name = "DIR")]
     pub output: Option<PathBuf>,
-    /// Metres from texel to texel of the lightmaps, as 5cm (default: 5 cm, or more in large scenes)
+    /// Metres from texel to texel of the lightmaps, as 5cm (default: 5 cm, less in small
+    /// scenes and more in large ones)
     #[arg(long, value_name = "LENGTH", value_parser = units::edge_m)]
     pub texel: Option<f64>,
     /// No lightmaps: the light is in the vertices alone

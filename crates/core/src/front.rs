@@ -51,6 +51,25 @@ pub enum Shape {
     },
 }
 
+impl Shape {
+    /// Places of the four children of a cell at `[s0, t0, ds, dt]`; `None` for a cluster, which
+    /// cannot be split.
+    pub fn quarters(&self, [s0, t0, ds, dt]: [f32; 4]) -> Option<[[f32; 4]; 4]> {
+        let (hs, ht) = (0.5 * ds, 0.5 * dt);
+        let last = match self {
+            Shape::Cluster { .. } => return None,
+            Shape::Parallelogram { .. } => [s0 + hs, t0 + ht, hs, ht],
+            Shape::Triangle { .. } => [s0 + hs, t0 + ht, -hs, -ht],
+        };
+        Some([
+            [s0, t0, hs, ht],
+            [s0 + hs, t0, hs, ht],
+            [s0, t0 + ht, hs, ht],
+            last,
+        ])
+    }
+}
+
 /// One side of a shape, with its grid of cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Patch {
@@ -277,23 +296,9 @@ impl Front {
     /// A cluster cannot be split: returns `None`.
     pub fn split(&mut self, element: ElementId) -> Option<[ElementId; 4]> {
         let patch_id = self.patch[element.index()];
-        let [s0, t0, ds, dt] = self.rect[element.index()];
-        let (hs, ht) = (0.5 * ds, 0.5 * dt);
-        let rects = match self.patches[patch_id.index()].shape {
-            Shape::Cluster { .. } => return None,
-            Shape::Parallelogram { .. } => [
-                [s0, t0, hs, ht],
-                [s0 + hs, t0, hs, ht],
-                [s0, t0 + ht, hs, ht],
-                [s0 + hs, t0 + ht, hs, ht],
-            ],
-            Shape::Triangle { .. } => [
-                [s0, t0, hs, ht],
-                [s0 + hs, t0, hs, ht],
-                [s0, t0 + ht, hs, ht],
-                [s0 + hs, t0 + ht, -hs, -ht],
-            ],
-        };
+        let rects = self.patches[patch_id.index()]
+            .shape
+            .quarters(self.rect[element.index()])?;
         let centre = self.centre_st(element);
         let (reflectance, emission) = (
             self.reflectance[element.index()],

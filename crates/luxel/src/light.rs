@@ -18,7 +18,7 @@ use luxel_io::{LitPrimitive, LitScale, StoredSolution};
 use luxel_visualise::preview::render;
 use luxel_visualise::report::{self, Report, State};
 use luxel_visualise::tone::linear_scale;
-use luxel_visualise::{Charts, Exposure, Lightmap, LitMesh, LitPart, PreviewSettings, Texels};
+use luxel_visualise::{Exposure, LitMesh, LitPart, PreviewSettings, Texels};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -69,6 +69,11 @@ pub struct Outcome {
 /// Most gather rays for all vertices together at an accuracy of 5 %; they grow as the inverse.
 /// With millions of vertices the eye averages over many, and a pixel shows more than one.
 const MOST_RAYS: f64 = 2.1e8;
+
+/// Most gather rays for all that is shown.
+pub(crate) fn most_rays(settings: &Settings) -> f64 {
+    MOST_RAYS * 0.05 / settings.error
+}
 
 /// When not even so many rays are left for a vertex, vertices share them.
 const FEW_RAYS: f64 = 256.0;
@@ -125,7 +130,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         mesh = LitMesh::build(session.scene(), session.front(), Some(session.caster()));
         session.clock_mut().end(Stage::Mesh);
     }
-    let mut atlas = None;
+    let mut texels = None;
     let (rays, gathered) = match solved {
         // Stopped by the user, not by the clock.
         End::Stopped if job.settings.time.is_none() => {
@@ -139,11 +144,10 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
             match charts {
                 Some(charts) => {
                     let of_vertex = charts.lay_over(session.front(), &mut mesh);
-                    let most_rays = MOST_RAYS * 0.05 / job.settings.error;
-                    let made = lightmap::light(&session, &solution, &charts, most_rays, watch);
+                    let made = lightmap::light(&session, &solution, &charts, watch);
                     made.lightmap.light(&charts, &of_vertex, &mut mesh);
                     let answer = (made.rays, made.end);
-                    atlas = Some(Atlas {
+                    texels = Some(Texels {
                         charts,
                         of_vertex,
                         lightmap: made.lightmap,
@@ -159,14 +163,13 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
 
     watch(&Status::begin(Stage::Write));
     let stopped = solved == End::Stopped || gathered == End::Stopped;
-    let texels = atlas.as_ref().map(Atlas::texels);
     let settings = PreviewSettings::default();
     let exposure = write_picture(&session, &mesh, texels.as_ref(), &view, &settings, &folder)?;
-    let pages = write_pages(atlas.as_ref(), &folder)?;
+    let pages = write_pages(texels.as_ref(), &folder)?;
     write_lit_scene(
         &session,
         &mesh,
-        atlas.as_ref(),
+        texels.as_ref(),
         pages,
         &folder.join(LIT_SCENE),
     )?;
@@ -175,7 +178,7 @@ pub fn light(job: &LightJob, watch: &mut Watch<'_>) -> Result<Outcome, Error> {
         &mut session,
         &solution,
         &mesh,
-        atlas.as_ref(),
+        texels.as_ref(),
         rays,
         &exposure,
         stopped,
@@ -216,8 +219,7 @@ fn gather(
 ) -> (u64, End) {
     // The picture needs the sum of the groups alone.
     let (merged, lights) = (solution.merged(), session.lights().merged());
-    let settings = session.settings();
-    let most_rays = MOST_RAYS * 0.05 / settings.error;
+    let most_rays = most_rays(session.settings());
     let sites = sites(mesh, most_rays);
     let (asked, end) = work::gather(
         &session.gatherer(&merged, &lights),
@@ -330,7 +332,7 @@ fn first_picture(
 fn write_picture(
     session: &Session,
     mesh: &LitMesh,
-    texels: Option<&Texels<'_>>,
+    texels: Option<&Texels>,
     view: &View,
     settings: &PreviewSettings,
     folder: &Path,
@@ -373,38 +375,23 @@ fn fingerprint(session: &Session, settings: &Settings) -> u64 {
     )
 }
 
-/// The lightmap of a mesh.
-struct Atlas {
-    charts: Charts,
-    /// Chart of each vertex.
-    of_vertex: Vec<u32>,
-    lightmap: Lightmap,
-}
-
-impl Atlas {
-    fn texels(&self) -> Texels<'_> {
-        Texels {
-            charts: &self.charts,
-            lightmap: &self.lightmap,
-            of_vertex: &self.of_vertex,
-        }
-    }
-}
-
 /// Writes the pages of the lightmap; those of an earlier run that are not written anew are removed,
 /// as they do not belong to the scene. Answers with their names and sizes.
-fn write_pages(atlas: Option<&Atlas>, folder: &Path) -> Result<Vec<(String, [u32; 2])>, Error> {
-    let sizes = atlas.map_or(&[][..], |a| a.charts.pages());
+fn write_pages(texels: Option<&Texels>, folder: &Path) -> Result<Vec<(String, [u32; 2])>, Error> {
     let mut written = Vec::new();
-    for (k, &size) in sizes.iter().enumerate() {
-        let name = page_name(k);
-        let path = folder.join(&name);
-        let texels = atlas.map(|a| a.lightmap.page(&a.charts, k as u32));
-        luxel_io::write_exr(&path, size, &texels.unwrap_or_default())
-            .map_err(|source| Error::Write { path, source })?;
-        written.push((name, size));
+    if let Some(Texels {
+        charts, lightmap, ..
+    }) = texels
+    {
+        for (k, &size) in charts.pages().iter().enumerate() {
+            let name = page_name(k);
+            let path = folder.join(&name);
+            luxel_io::write_exr(&path, size, &lightmap.page(charts, k as u32))
+                .map_err(|source| Error::Write { path, source })?;
+            written.push((name, size));
+        }
     }
-    for k in sizes.len()..lightmap::MOST_PAGES {
+    for k in written.len()..lightmap::MOST_PAGES {
         // None to remove is the usual case.
         let _ = std::fs::remove_file(folder.join(page_name(k)));
     }
@@ -418,16 +405,15 @@ fn page_name(page: usize) -> String {
 fn write_lit_scene(
     session: &Session,
     mesh: &LitMesh,
-    atlas: Option<&Atlas>,
+    texels: Option<&Texels>,
     pages: Vec<(String, [u32; 2])>,
     path: &Path,
 ) -> Result<(), Error> {
-    let uv = |(&p, &chart): (&Vec3, &u32)| atlas.map_or(Vec2::ZERO, |a| a.charts.uv_of(chart, p));
-    let texels: Vec<Vec2> = match atlas {
-        Some(a) => mesh.positions.iter().zip(&a.of_vertex).map(uv).collect(),
-        None => Vec::new(),
-    };
-    let page_of = |t: &[u32; 3]| atlas.map_or(0, |a| a.charts.page_of(a.of_vertex[t[0] as usize]));
+    let uvs: Vec<Vec2> = texels.map_or(Vec::new(), |t| {
+        let uv = |(&p, &chart): (&Vec3, &u32)| t.charts.uv_of(chart, p);
+        mesh.positions.iter().zip(&t.of_vertex).map(uv).collect()
+    });
+    let page_of = |c: &[u32; 3]| texels.map_or(0, |t| t.charts.page_of(t.of_vertex[c[0] as usize]));
     let primitives: Vec<LitPrimitive<'_>> = mesh
         .parts
         .iter()
@@ -436,10 +422,7 @@ fn write_lit_scene(
             let by_page = mesh.triangles[run].chunk_by(|a, b| page_of(a) == page_of(b));
             by_page.map(move |triangles| (part, triangles))
         })
-        .map(|(part, triangles)| LitPrimitive {
-            page: page_of(&triangles[0]),
-            ..lit_primitive(mesh, part, triangles, &texels)
-        })
+        .map(|(part, triangles)| lit_primitive(mesh, part, triangles, &uvs, page_of(&triangles[0])))
         .collect();
     let scale = LitScale {
         colour_per_lux: linear_scale(mesh),
@@ -458,6 +441,7 @@ fn lit_primitive<'a>(
     part: &LitPart,
     triangles: &'a [[u32; 3]],
     texels: &'a [Vec2],
+    page: u32,
 ) -> LitPrimitive<'a> {
     let vertices = part.vertices.start as usize..part.vertices.end as usize;
     LitPrimitive {
@@ -467,7 +451,7 @@ fn lit_primitive<'a>(
         normals: &mesh.normals[vertices.clone()],
         uvs: mesh.uvs.get(vertices.clone()).unwrap_or(&[]),
         texels: texels.get(vertices.clone()).unwrap_or(&[]),
-        page: 0,
+        page,
         irradiance: &mesh.irradiance[vertices],
         triangles,
         first_vertex: part.vertices.start,
@@ -479,7 +463,7 @@ fn make_report(
     session: &mut Session,
     solution: &Solution,
     mesh: &LitMesh,
-    atlas: Option<&Atlas>,
+    texels: Option<&Texels>,
     gather_rays: u64,
     exposure: &Exposure,
     stopped: bool,
@@ -528,8 +512,8 @@ fn make_report(
             surfaces: session.scene().surfaces.len() as u64,
             elements: session.front().len() as u64,
             vertices: mesh.positions.len() as u64,
-            texels: atlas.map_or(0, |a| a.charts.used() as u64),
-            texels_asked: atlas.map_or(0, |a| a.lightmap.asked() as u64),
+            texels: texels.map_or(0, |t| t.charts.used() as u64),
+            texels_asked: texels.map_or(0, |t| t.lightmap.asked() as u64),
             solver_work: solution.work,
             gather_rays,
             steps: progress.step as u64,

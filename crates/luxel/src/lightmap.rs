@@ -1,5 +1,6 @@
 //! Lightmaps of a session: laid out by its front, asked round by round as far as time allows.
 
+use crate::light::most_rays;
 use crate::session::Session;
 use crate::sites::Sites;
 use crate::watch::Watch;
@@ -57,12 +58,12 @@ pub(crate) fn light(
     session: &Session,
     solution: &Solution,
     charts: &Charts,
-    most_rays: f64,
     watch: &mut Watch<'_>,
 ) -> Made {
     let (merged, lights) = (solution.merged(), session.lights().merged());
     let gatherer = session.gatherer(&merged, &lights);
     let accuracy = session.accuracy(solution);
+    let most_rays = most_rays(session.settings());
     let mut sparse = Sparse::new(charts, 0.5 * session.settings().error as f32);
     let (began, bound) = (Instant::now(), session.time_left());
     let (mut rays, mut end) = (0u64, End::Reached);

@@ -376,11 +376,14 @@ impl Session {
 
     /// The solution as it stands. Never holds the ambient term.
     pub fn solution(&self) -> Solution {
-        // What is known is told without any geometry.
+        self.with_problem(|problem| self.solver.solution(problem))
+    }
+
+    /// The problem without the geometry between clusters: what is known is told without it.
+    fn with_problem<T>(&self, act: impl FnOnce(&luxel_solve::Problem<'_>) -> T) -> T {
         let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
         let transport = transport(&self.settings, &self.factors, &lines, &None);
-        self.solver
-            .solution(&self.matter.problem(transport, self.settings.seed))
+        act(&self.matter.problem(transport, self.settings.seed))
     }
 
     /// Exitance with the ambient term added: for a picture of an unfinished solution, never stored.
@@ -468,10 +471,7 @@ impl Session {
 
     /// One draw of the noise of each element's exitance, lm/m².
     fn noise(&self) -> Vec<f32> {
-        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.settings, &self.factors, &lines, &None);
-        self.solver
-            .noise(&self.matter.problem(transport, self.settings.seed))
+        self.with_problem(|problem| self.solver.noise(problem))
     }
 
     /// The accuracy that the settings ask for, with darkness measured against `solution`.
@@ -514,13 +514,7 @@ impl Session {
 
     /// Energy balance of the solution, lumens.
     pub fn balance(&self, solution: &Solution) -> luxel_solve::balance::EnergyBalance {
-        let lines = FrontLines::new(&self.scene, &self.front, &self.caster);
-        let transport = transport(&self.settings, &self.factors, &lines, &None);
-        luxel_solve::balance::measure(
-            &self.matter.problem(transport, self.settings.seed),
-            solution,
-            BALANCE_LINES,
-        )
+        self.with_problem(|problem| luxel_solve::balance::measure(problem, solution, BALANCE_LINES))
     }
 
     /// The scene as it is solved.

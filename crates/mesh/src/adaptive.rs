@@ -109,12 +109,7 @@ struct Refined<'a> {
 impl Refined<'_> {
     /// Splits `e` after the neighbours that would be more than one level coarser; whether it did.
     fn split(&mut self, e: ElementId, depth: u32) -> bool {
-        let size = edge_m(&self.front, e);
-        // A halved edge just at the limit is allowed; 1e-3 is above f32 rounding.
-        if depth > 32
-            || 0.5 * size < self.settings.min_edge_m * (1.0 - 1e-3)
-            || matches!(shape(&self.front, e), Shape::Cluster { .. })
-        {
+        if depth > 32 || !may_split(&self.front, e, &self.settings) {
             return false;
         }
         let mut around = Vec::new();
@@ -142,8 +137,12 @@ impl Refined<'_> {
     }
 }
 
-fn shape(front: &Front, e: ElementId) -> &Shape {
-    &front.patches[front.patch[e.index()].index()].shape
+/// Whether the children of an element would be large enough; a cluster has none.
+pub(crate) fn may_split(front: &Front, e: ElementId, settings: &MeshSettings) -> bool {
+    let shape = &front.patches[front.patch[e.index()].index()].shape;
+    // A halved edge just at the limit is allowed; 1e-3 is above f32 rounding.
+    0.5 * edge_m(front, e) >= settings.min_edge_m * (1.0 - 1e-3)
+        && !matches!(shape, Shape::Cluster { .. })
 }
 
 /// Whether `n` is so coarse that splitting `e` would leave more than one level between them.

@@ -16,39 +16,3 @@
 mod edges;
 pub(crate) mod events;
 mod sources;
-
-use crate::adaptive::Adaptive;
-use crate::contract::{MeshSettings, Strategy};
-use luxel_core::{Front, FrontChange, RefinementWish, Scene, Solution};
-
-/// The discontinuity strategy. Its scene must have been prepared with
-/// [`Kind::prepare`](crate::Kind::prepare), which draws the lines; without them it is [`Adaptive`].
-#[derive(Clone, Debug)]
-pub struct Discontinuity {
-    cells: Adaptive,
-}
-
-impl Discontinuity {
-    /// With these settings.
-    pub fn new(settings: MeshSettings) -> Self {
-        Discontinuity {
-            cells: Adaptive::new(settings),
-        }
-    }
-}
-
-impl Strategy for Discontinuity {
-    fn initial(&mut self, scene: &Scene) -> Front {
-        self.cells.initial(scene)
-    }
-
-    fn refine(
-        &mut self,
-        scene: &Scene,
-        front: &Front,
-        solution: &Solution,
-        wish: &RefinementWish,
-    ) -> Option<(Front, FrontChange)> {
-        self.cells.refine(scene, front, solution, wish)
-    }
-}

@@ -3,7 +3,6 @@
 use crate::adaptive::Adaptive;
 use crate::contract::{MeshSettings, Strategy};
 use crate::dense::Dense;
-use crate::discontinuity::Discontinuity;
 use crate::prepare::PrepareSettings;
 use crate::rex::Rex;
 use crate::sides::{SIDES, lit_side};
@@ -57,7 +56,8 @@ impl Kind {
             Kind::Uniform => Box::new(Uniform::new(settings)),
             Kind::Dense => Box::new(Dense::new(settings)),
             Kind::Adaptive => Box::new(Adaptive::new(settings)),
-            Kind::Discontinuity => Box::new(Discontinuity::new(settings)),
+            // Its lines are in the scene that `prepare` made.
+            Kind::Discontinuity => Box::new(Adaptive::new(settings)),
             Kind::Rex => Box::new(Rex::new(settings)),
         }
     }

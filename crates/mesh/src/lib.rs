@@ -23,7 +23,6 @@ pub mod uniform;
 pub use adaptive::{Adaptive, neighbour_difference};
 pub use contract::{MeshSettings, Strategy};
 pub use dense::Dense;
-pub use discontinuity::Discontinuity;
 pub use hierarchy::hierarchy;
 pub use kinds::Kind;
 pub use prepare::{PrepareSettings, prepare};

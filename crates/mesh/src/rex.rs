@@ -14,11 +14,12 @@
 
 pub mod tree;
 
+use crate::adaptive::may_split;
 use crate::contract::{MeshSettings, Strategy};
 use crate::shade::shade;
 use crate::uniform::mesh;
 use luxel_core::front::Cell;
-use luxel_core::{ElementId, Front, FrontChange, PatchId, RefinementWish, Scene, Shape, Solution};
+use luxel_core::{ElementId, Front, FrontChange, PatchId, RefinementWish, Scene, Solution};
 use std::collections::{HashMap, HashSet};
 
 /// Cells of the uniform mesh along an edge of a cell of the first front.
@@ -92,7 +93,9 @@ impl Strategy for Rex {
             }
         }
         let mut wanted: Vec<(f32, u32)> = (0..front.len())
-            .filter(|&e| contrast(e) > SPLIT && self.may_split(front, e))
+            .filter(|&e| {
+                contrast(e) > SPLIT && may_split(front, ElementId::from(e), &self.settings)
+            })
             .map(|e| (contrast(e), e as u32))
             .collect();
         wanted.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -113,18 +116,6 @@ impl Strategy for Rex {
 }
 
 impl Rex {
-    fn may_split(&self, front: &Front, e: usize) -> bool {
-        let [_, _, ds, dt] = front.rect[e];
-        match &front.patches[front.patch[e].index()].shape {
-            Shape::Parallelogram { edge_u, edge_v, .. }
-            | Shape::Triangle { edge_u, edge_v, .. } => {
-                let edge = (edge_u.length() * ds.abs()).min(edge_v.length() * dt.abs());
-                0.5 * edge >= self.settings.min_edge_m * (1.0 - 1e-3)
-            }
-            Shape::Cluster { .. } => false,
-        }
-    }
-
     /// Inner nodes of a front, in order of patch and depth.
     fn inner(&self, front: &Front) -> Vec<Inner> {
         let mut all = Vec::new();
@@ -143,9 +134,9 @@ impl Rex {
                     key: key(patch, rect),
                     children,
                 });
-                let is_triangle =
-                    matches!(front.patches[patch.index()].shape, Shape::Triangle { .. });
-                stack.extend(children.into_iter().zip(quarters(rect, is_triangle)));
+                let shape = &front.patches[patch.index()].shape;
+                let quarters = shape.quarters(rect).into_iter().flatten();
+                stack.extend(children.into_iter().zip(quarters));
             }
         }
         all
@@ -199,20 +190,4 @@ impl Rex {
         }
         Some((new, change))
     }
-}
-
-/// Rectangles of the children of a node, with the bits that [`Front::split`] gives them.
-fn quarters([s0, t0, ds, dt]: [f32; 4], is_triangle: bool) -> [[f32; 4]; 4] {
-    let (hs, ht) = (0.5 * ds, 0.5 * dt);
-    let last = if is_triangle {
-        [s0 + hs, t0 + ht, -hs, -ht]
-    } else {
-        [s0 + hs, t0 + ht, hs, ht]
-    };
-    [
-        [s0, t0, hs, ht],
-        [s0 + hs, t0, hs, ht],
-        [s0, t0 + ht, hs, ht],
-        last,
-    ]
 }

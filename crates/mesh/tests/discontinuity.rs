@@ -1,25 +1,14 @@
 //! Shadow lines: where they lie, that hidden ones are not drawn, that cutting loses nothing, and
 //! that any geometry comes through in bounded time.
 
+mod common;
+
+use common::{settings, v};
 use luxel_core::{ElementId, LuminaireKind, Rgb, Scene, Vec3, Warnings};
 use luxel_mesh::{Kind, MeshSettings, prepare};
 use luxel_scenes::builder::Builder;
 use proptest::prelude::*;
 use std::time::{Duration, Instant};
-
-fn v(x: f32, y: f32, z: f32) -> Vec3 {
-    Vec3::new(x, y, z)
-}
-
-fn settings(max_area_m2: f32) -> MeshSettings {
-    MeshSettings {
-        max_area_m2,
-        min_edge_m: 0.01,
-        max_elements: 100_000,
-        max_per_region: usize::MAX,
-        cluster: true,
-    }
-}
 
 fn prepared(scene: &Scene, kind: Kind, max_area_m2: f32) -> Scene {
     let mut warnings = Warnings::default();

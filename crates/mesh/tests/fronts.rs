@@ -1,29 +1,18 @@
 //! Fronts: every lit side covered, every point found again, areas kept, limits held; the tree
 //! over a front; refinement.
 
+mod common;
+
+use common::{settings, v};
 use luxel_core::texture::Wrap;
 use luxel_core::{
     ElementId, Emission, Finish, Front, Group, GroupId, Layers, RefinementWish, Rgb, Scene, Shape,
-    Side, Solution, SurfaceId, Texture, Vec2, Vec3,
+    Side, Solution, SurfaceId, Texture, Vec2,
 };
 use luxel_mesh::sides::{SIDES, lit_side};
 use luxel_mesh::{Adaptive, Kind, MeshSettings, Strategy, hierarchy, neighbour_difference, shade};
 use luxel_scenes::builder::Builder;
 use proptest::prelude::*;
-
-fn v(x: f32, y: f32, z: f32) -> Vec3 {
-    Vec3::new(x, y, z)
-}
-
-fn settings(max_area_m2: f32) -> MeshSettings {
-    MeshSettings {
-        max_area_m2,
-        min_edge_m: 0.01,
-        max_elements: 100_000,
-        max_per_region: usize::MAX,
-        cluster: true,
-    }
-}
 
 /// A floor of 4 x 1 m in the xy plane.
 fn strip() -> Scene {

@@ -1,24 +1,13 @@
 //! Contact lines: what was cut, that nothing was lost, and that no element lies on both sides.
 
+mod common;
+
+use common::{settings, v};
 use luxel_core::{ElementId, Scene, Side, Vec3, Warnings};
 use luxel_mesh::{Kind, MeshSettings, PrepareSettings, prepare};
 use luxel_scenes::builder::Builder;
 use proptest::prelude::*;
 use std::collections::HashMap;
-
-fn v(x: f32, y: f32, z: f32) -> Vec3 {
-    Vec3::new(x, y, z)
-}
-
-fn settings(max_area_m2: f32) -> MeshSettings {
-    MeshSettings {
-        max_area_m2,
-        min_edge_m: 0.01,
-        max_elements: 100_000,
-        max_per_region: usize::MAX,
-        cluster: true,
-    }
-}
 
 /// The reference case `leak-partition`: 4 x 3 x 2.5 m, partition at x = 2.
 fn partitioned() -> Scene {

@@ -27,7 +27,7 @@ use crate::photometry::{
 };
 use crate::sweep::carry;
 use luxel_core::hierarchy::Node;
-use luxel_core::{DVec3, ElementId, FrontChange, Hierarchy, Solution};
+use luxel_core::{Buckets, DVec3, ElementId, FrontChange, Hierarchy, Solution};
 use luxel_transport::{KernelSample, NodeFactors};
 use rayon::prelude::*;
 
@@ -120,9 +120,10 @@ pub struct LinkSolver {
     method: Method,
     tree: Tree,
     links: Vec<Link>,
-    /// Links of node k are `of[offsets[k]..offsets[k + 1]]`.
-    offsets: Vec<u32>,
-    of: Vec<u32>,
+    /// Links of each node.
+    of: Buckets,
+    /// Ends of all links: what a sweep uses.
+    used: u64,
     exitance: Vec<f64>,
     change: Vec<f64>,
     /// E and what of the outside is reflected at once.
@@ -145,8 +146,8 @@ impl LinkSolver {
             method,
             tree: Tree::default(),
             links: Vec::new(),
-            offsets: Vec::new(),
-            of: Vec::new(),
+            of: Buckets::default(),
+            used: 0,
             exitance: Vec::new(),
             change: Vec::new(),
             first: Vec::new(),
@@ -275,26 +276,13 @@ impl LinkSolver {
 
     /// Lists the links of every node.
     fn index(&mut self) {
-        self.offsets = vec![0; self.tree.nodes.len() + 1];
-        let mut each = |node: u32| self.offsets[node as usize + 1] += 1;
-        for link in &self.links {
-            each(link.ends[0]);
-            if link.ends[0] != link.ends[1] {
-                each(link.ends[1]);
-            }
-        }
-        for k in 1..self.offsets.len() {
-            self.offsets[k] += self.offsets[k - 1];
-        }
-        let mut next = self.offsets.clone();
-        self.of = vec![0; next.last().copied().unwrap_or(0) as usize];
-        for (k, link) in self.links.iter().enumerate() {
-            let ends = if link.ends[0] == link.ends[1] { 1 } else { 2 };
-            for &end in &link.ends[..ends] {
-                self.of[next[end as usize] as usize] = k as u32;
-                next[end as usize] += 1;
-            }
-        }
+        let ends = self.links.iter().zip(0..).flat_map(|(link, k)| {
+            let [p, q] = link.ends.map(|e| e as usize);
+            let both = [Some((p, k)), (p != q).then_some((q, k))];
+            both.into_iter().flatten()
+        });
+        self.used = ends.clone().count() as u64;
+        self.of = Buckets::new(self.tree.nodes.len(), ends);
     }
 
     /// The other end of a link of `node`, and the slopes at this end and at the other.
@@ -318,8 +306,7 @@ impl LinkSolver {
             .par_chunks_mut(stride)
             .enumerate()
             .for_each(|(node, sum)| {
-                let run = self.offsets[node] as usize..self.offsets[node + 1] as usize;
-                for &k in &self.of[run] {
+                for &k in self.of.of(node) {
                     let link = &self.links[k as usize];
                     let (other, near, far) = Self::across(link, node);
                     let sent = &sent[other * stride..(other + 1) * stride];
@@ -337,21 +324,16 @@ impl LinkSolver {
                 }
             });
         self.tree.push(&mut arrived, columns, stride);
-        for (at, node) in self.tree.nodes.iter().enumerate() {
-            if node.children > 0 {
-                continue;
-            }
-            for k in node.first..node.first + node.count {
-                let i = self.tree.order[k as usize].index();
-                for c in 0..columns {
-                    let b = i * columns + c;
-                    let new = self.first[b] + rho(problem, i, c) * arrived[at * stride + c];
-                    self.change[b] = new - self.exitance[b];
-                    self.exitance[b] = new;
-                }
+        for leaf in self.tree.leaves() {
+            let i = self.tree.element(leaf).index();
+            for c in 0..columns {
+                let b = i * columns + c;
+                let new = self.first[b] + rho(problem, i, c) * arrived[leaf * stride + c];
+                self.change[b] = new - self.exitance[b];
+                self.exitance[b] = new;
             }
         }
-        self.progress.work += self.of.len() as u64;
+        self.progress.work += self.used;
     }
 
     /// What the links may be off by, relative, area-weighted RMS with further bounces.
@@ -361,29 +343,23 @@ impl LinkSolver {
         let mut error: Vec<f64> = (0..self.tree.nodes.len())
             .into_par_iter()
             .map(|node| {
-                let run = self.offsets[node] as usize..self.offsets[node + 1] as usize;
                 let off = |k: &u32| {
                     let link = &self.links[*k as usize];
                     link.error * power[Self::across(link, node).0]
                 };
-                self.of[run].iter().map(off).sum()
+                self.of.of(node).iter().map(off).sum()
             })
             .collect();
         self.tree.push(&mut error, 1, 1);
         let (mut square, mut whole, mut reflected, mut area) = (0.0, 0.0, 0.0, 0.0);
-        for (at, node) in self.tree.nodes.iter().enumerate() {
-            if node.children > 0 {
-                continue;
-            }
-            for k in node.first..node.first + node.count {
-                let i = self.tree.order[k as usize].index();
-                let (a, r) = (problem.area[i], reflectance(problem, i));
-                let b = luminance(&self.exitance[i * columns..(i + 1) * columns]);
-                square += a * (r * error[at]).powi(2);
-                whole += a * b * b;
-                reflected += a * r;
-                area += a;
-            }
+        for leaf in self.tree.leaves() {
+            let i = self.tree.element(leaf).index();
+            let (a, r) = (problem.area[i], reflectance(problem, i));
+            let b = luminance(&self.exitance[i * columns..(i + 1) * columns]);
+            square += a * (r * error[leaf]).powi(2);
+            whole += a * b * b;
+            reflected += a * r;
+            area += a;
         }
         let bounces = 1.0 / (1.0 - share(reflected, area)).max(1e-3);
         if whole > 0.0 {
@@ -440,13 +416,12 @@ impl Tree {
             let (mut area, mut moment) = (0.0, DVec3::ZERO);
             let (mut reflects, mut matters) = (0.0f64, 0.0f64);
             if node.children == 0 {
-                for k in node.first..node.first + node.count {
-                    let i = tree.order[k as usize].index();
-                    area += problem.area[i];
-                    moment += problem.area[i] * places[i];
-                    reflects = reflects.max(reflectance(problem, i));
-                    matters = matters.max(problem.importance_of(i));
-                }
+                debug_assert_eq!(node.count, 1, "a leaf is one element");
+                let i = tree.element(at).index();
+                area = problem.area[i];
+                moment = problem.area[i] * places[i];
+                reflects = reflectance(problem, i);
+                matters = problem.importance_of(i);
             }
             for child in node.first_child..node.first_child + node.children {
                 let child = child as usize;
@@ -470,6 +445,10 @@ impl Tree {
 
     fn is_element(&self, node: usize) -> bool {
         self.nodes[node].children == 0
+    }
+
+    fn leaves(&self) -> impl Iterator<Item = usize> {
+        (0..self.nodes.len()).filter(|&node| self.is_element(node))
     }
 
     fn element(&self, leaf: usize) -> ElementId {

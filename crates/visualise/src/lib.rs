@@ -16,6 +16,7 @@ mod places;
 pub mod preview;
 mod raster;
 pub mod report;
+mod sets;
 #[cfg(test)]
 mod testing;
 pub mod tone;

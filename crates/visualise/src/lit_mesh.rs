@@ -566,11 +566,9 @@ mod tests {
         let scene = testing::room();
         let front = testing::front(&scene, 0.05, true);
         let build = |n| {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(n)
-                .build()
-                .expect("threads");
-            pool.install(|| LitMesh::build(&scene, &front, Some(&testing::caster(&scene))))
+            testing::on_threads(n, || {
+                LitMesh::build(&scene, &front, Some(&testing::caster(&scene)))
+            })
         };
         assert!(build(1) == build(4));
     }

@@ -7,6 +7,7 @@
 
 use crate::long_edges::halve;
 use crate::places::{Places, Sources};
+use crate::sets::Sets;
 use luxel_core::{Buckets, Front, Patch, Scene, Shape, Side, Vec2, Vec3};
 use luxel_gather::Receiver;
 use luxel_transport::{Ray, RayCaster};
@@ -349,7 +350,7 @@ impl Outlines {
             let mut next = 0;
             for place in places {
                 let ring = by_place.of(place);
-                let mut group: Vec<usize> = (0..ring.len()).collect();
+                let mut group = Sets::new(ring.len());
                 for i in 0..ring.len() {
                     for j in 0..i {
                         let (a, b) = (
@@ -364,17 +365,17 @@ impl Outlines {
                             blocked[next - 1]
                         };
                         if !parted {
-                            join(&mut group, i, j);
+                            group.join(i as u32, j as u32);
                         }
                     }
                 }
-                for lead in 0..ring.len() {
-                    if group[lead] != lead {
+                for lead in 0..ring.len() as u32 {
+                    if group.lead(lead) != lead {
                         continue;
                     }
-                    let members: Vec<u32> = (lead..ring.len())
-                        .filter(|&k| root(&group, k) == lead)
-                        .map(|k| ring[k])
+                    let members: Vec<u32> = (lead..ring.len() as u32)
+                        .filter(|&k| group.lead(k) == lead)
+                        .map(|k| ring[k as usize])
                         .collect();
                     for &k in &members {
                         vertex_of[k as usize] = vertices.len() as u32;
@@ -494,16 +495,4 @@ fn agree(a: &Corner, b: &Corner) -> bool {
 /// Whether sight between two agreeing corners is tested: facets of clusters are too small.
 fn is_tested(a: &Corner, b: &Corner, ring: usize, has_caster: bool) -> bool {
     has_caster && a.flat && b.flat && ring <= MAX_RING
-}
-
-fn root(group: &[usize], mut k: usize) -> usize {
-    while group[k] != k {
-        k = group[k];
-    }
-    k
-}
-
-fn join(group: &mut [usize], a: usize, b: usize) {
-    let (a, b) = (root(group, a), root(group, b));
-    group[a.max(b)] = a.min(b);
 }

@@ -5,6 +5,7 @@
 //! units in the last place are the same. Places are found through a hash grid; results depend on
 //! the order of insertion only, never on the order of the hash.
 
+use crate::sets::Sets;
 use luxel_core::{Front, PatchId, PatchSources, Scene, Shape, Vec2, Vec3};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -96,20 +97,18 @@ impl Sources {
     }
 }
 
+/// First of the positions that are the same as each: an unwelded edge is shared all the same.
+pub(crate) fn welded(scene: &Scene) -> Vec<u32> {
+    let mut same: HashMap<[u32; 3], u32, BuildHasherDefault<Mix>> = HashMap::default();
+    let bits = |p: &Vec3| (*p + Vec3::ZERO).to_array().map(f32::to_bits);
+    (scene.positions.iter().zip(0..))
+        .map(|(p, i)| *same.entry(bits(p)).or_insert(i))
+        .collect()
+}
+
 /// Smallest patch of the flat piece that each patch belongs to.
 fn components(scene: &Scene, front: &Front) -> Vec<u32> {
-    // Positions by value: an unwelded edge is shared all the same.
-    let mut same: HashMap<[u32; 3], u32, BuildHasherDefault<Mix>> = HashMap::default();
-    let place: Vec<u32> = scene
-        .positions
-        .iter()
-        .enumerate()
-        .map(|(i, p)| {
-            *same
-                .entry((*p + Vec3::ZERO).to_array().map(f32::to_bits))
-                .or_insert(i as u32)
-        })
-        .collect();
+    let place = welded(scene);
     let mut edges: Vec<([u32; 2], u32)> = Vec::new();
     for (t, corners) in scene.triangles.iter().enumerate() {
         for id in front.patch_of[t].iter().filter(|p| p.is_some()) {
@@ -126,14 +125,7 @@ fn components(scene: &Scene, front: &Front) -> Vec<u32> {
         }
     }
     edges.sort_unstable();
-    let mut parent: Vec<u32> = (0..front.patches.len() as u32).collect();
-    fn find(parent: &mut [u32], mut k: u32) -> u32 {
-        while parent[k as usize] != k {
-            parent[k as usize] = parent[parent[k as usize] as usize];
-            k = parent[k as usize];
-        }
-        k
-    }
+    let mut sets = Sets::new(front.patches.len());
     for around in edges.chunk_by(|a, b| a.0 == b.0) {
         for i in 1..around.len() {
             // An edge with many triangles is no wall; a few neighbours are enough to join.
@@ -145,14 +137,13 @@ fn components(scene: &Scene, front: &Front) -> Vec<u32> {
                     && p.side == q.side
                     && p.normal.dot(q.normal) > 1.0 - 1e-6
                 {
-                    let (a, b) = (find(&mut parent, a), find(&mut parent, b));
-                    parent[a.max(b) as usize] = a.min(b);
+                    sets.join(a, b);
                 }
             }
         }
     }
     (0..front.patches.len() as u32)
-        .map(|k| find(&mut parent, k))
+        .map(|k| sets.lead(k))
         .collect()
 }
 

@@ -102,7 +102,7 @@ pub fn shoot(scene: &Scene, mesh: &LitMesh, view: &View, width: usize, height: u
 pub fn shoot_texels(
     scene: &Scene,
     mesh: &LitMesh,
-    texels: Option<&Texels<'_>>,
+    texels: Option<&Texels>,
     view: &View,
     width: usize,
     height: usize,
@@ -165,7 +165,7 @@ pub fn shoot_texels(
 pub fn render(
     scene: &Scene,
     mesh: &LitMesh,
-    texels: Option<&Texels<'_>>,
+    texels: Option<&Texels>,
     view: &View,
     settings: &PreviewSettings,
 ) -> (Picture, Exposure) {
@@ -326,7 +326,7 @@ fn is_solid(finish: &Finish) -> bool {
 struct Stage<'a> {
     scene: &'a Scene,
     mesh: &'a LitMesh,
-    texels: Option<&'a Texels<'a>>,
+    texels: Option<&'a Texels>,
     /// Part of each lit triangle.
     part: Vec<u32>,
     /// Source triangles of black sides.
@@ -334,7 +334,7 @@ struct Stage<'a> {
 }
 
 impl<'a> Stage<'a> {
-    fn new(scene: &'a Scene, mesh: &'a LitMesh, texels: Option<&'a Texels<'a>>) -> Stage<'a> {
+    fn new(scene: &'a Scene, mesh: &'a LitMesh, texels: Option<&'a Texels>) -> Stage<'a> {
         let mut part = vec![0; mesh.triangles.len()];
         let mut lit = vec![[false; 2]; scene.surfaces.len()];
         for (k, p) in mesh.parts.iter().enumerate() {
@@ -499,7 +499,7 @@ enum Light<'a> {
     /// Its corners, lux.
     Vertices([Rgb; 3]),
     /// A lightmap; a vertex and the corners.
-    Texels(&'a Texels<'a>, usize, [Vec3; 3]),
+    Texels(&'a Texels, usize, [Vec3; 3]),
 }
 
 /// A triangle ready to be shaded.

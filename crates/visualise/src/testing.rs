@@ -9,14 +9,24 @@ use std::sync::Arc;
 
 /// A uniform front with elements of at most this area.
 pub fn front(scene: &Scene, max_area_m2: f32, cluster: bool) -> Front {
-    let settings = MeshSettings {
+    Uniform::new(mesh_settings(max_area_m2, cluster)).initial(scene)
+}
+
+/// Settings of such a front.
+pub fn mesh_settings(max_area_m2: f32, cluster: bool) -> MeshSettings {
+    MeshSettings {
         max_area_m2,
         min_edge_m: 1e-3,
         max_elements: 100_000,
         max_per_region: usize::MAX,
         cluster,
-    };
-    Uniform::new(settings).initial(scene)
+    }
+}
+
+/// What `build` makes on so many threads.
+pub fn on_threads<T: Send>(threads: usize, build: impl FnOnce() -> T + Send) -> T {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.expect("threads").install(build)
 }
 
 /// The ray engine of a scene.

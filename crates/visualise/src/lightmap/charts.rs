@@ -13,7 +13,8 @@
 //! Curved parts are grown over facets that face about the same way, and never over themselves:
 //! a planar projection, which stretches by at most 1 / [`COS_CHART`].
 
-use super::pieces::{Pieces, root};
+use super::pieces::Pieces;
+use crate::sets::Sets;
 use luxel_core::{Vec2, Vec3};
 use std::collections::{HashMap, HashSet, VecDeque};
 
@@ -54,6 +55,12 @@ impl Sheet {
     pub fn project(&self, p: Vec3) -> Vec2 {
         let r = p - self.origin;
         Vec2::new(r.dot(self.axes[0]), r.dot(self.axes[1]))
+    }
+
+    /// Corners of a piece, metres on the sheet.
+    pub fn ring(&self, pieces: &Pieces, piece: u32) -> Vec<Vec2> {
+        let corners = pieces.corners(piece as usize);
+        corners.iter().map(|c| self.project(*c)).collect()
     }
 
     /// Metres on the sheet of a lattice point.
@@ -129,19 +136,18 @@ fn flat_sheets(
     sheets: &mut Vec<Sheet>,
     groups: &mut Vec<Group>,
 ) {
-    let mut parent: Vec<u32> = (0..pieces.len() as u32).collect();
+    let mut sets = Sets::new(pieces.len());
     for joint in &pieces.joints {
         let [a, b] = joint.pieces;
         if pieces.flat[a as usize] {
-            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-            parent[a.max(b) as usize] = a.min(b);
+            sets.join(a, b);
         }
     }
     // By leader, which is the first of each sheet.
     let mut of_leader: HashMap<u32, usize> = HashMap::new();
     let mut members: Vec<Vec<u32>> = Vec::new();
     for piece in (0..pieces.len() as u32).filter(|&p| pieces.flat[p as usize]) {
-        let leader = root(&mut parent, piece);
+        let leader = sets.lead(piece);
         let at = *of_leader.entry(leader).or_insert_with(|| {
             members.push(Vec::new());
             members.len() - 1
@@ -150,13 +156,13 @@ fn flat_sheets(
     }
     let mut hard: Vec<Vec<[Vec3; 2]>> = vec![Vec::new(); members.len()];
     for edge in &pieces.hard {
-        if let Some(&at) = of_leader.get(&root(&mut parent, edge.piece)) {
+        if let Some(&at) = of_leader.get(&sets.lead(edge.piece)) {
             hard[at].push(edge.ends);
         }
     }
     let mut blocked: Vec<Vec<[Vec3; 2]>> = vec![Vec::new(); members.len()];
     for joint in pieces.joints.iter().filter(|j| j.blocked) {
-        let leader = root(&mut parent, joint.pieces[0]);
+        let leader = sets.lead(joint.pieces[0]);
         if let Some(&at) = of_leader.get(&leader) {
             blocked[at].push(joint.ends);
         }
@@ -245,11 +251,8 @@ fn part(pieces: &Pieces, sheet: &Sheet, open: &luxel_core::Buckets) -> Vec<Vec<u
     }
     // Sides of the blocked joints on which a piece lies: +1 left, -1 right.
     let sides = |piece: u32| {
-        let ring: Vec<Vec2> = (pieces.corners(piece as usize).iter())
-            .map(|c| sheet.project(*c))
-            .collect();
-        let low = ring.iter().copied().fold(Vec2::INFINITY, Vec2::min);
-        let high = ring.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max);
+        let ring = sheet.ring(pieces, piece);
+        let (low, high) = bounds(&ring);
         let mut list: Vec<u32> = cells(low, high)
             .filter_map(|c| near.get(&c))
             .flatten()
@@ -310,24 +313,23 @@ fn part(pieces: &Pieces, sheet: &Sheet, open: &luxel_core::Buckets) -> Vec<Vec<u
 /// For each blocked joint whether it belongs to a line of them that is larger than `size_m`.
 fn large_contours(sheet: &Sheet, size_m: f32) -> Vec<bool> {
     let n = sheet.blocked.len();
-    let mut parent: Vec<u32> = (0..n as u32).collect();
+    let mut sets = Sets::new(n);
     let mut at: HashMap<[u32; 2], u32> = HashMap::new();
     for (k, ends) in sheet.blocked.iter().enumerate() {
         for end in ends {
             let key = (*end + Vec2::ZERO).to_array().map(f32::to_bits);
             let other = *at.entry(key).or_insert(k as u32);
-            let (a, b) = (root(&mut parent, k as u32), root(&mut parent, other));
-            parent[a.max(b) as usize] = a.min(b);
+            sets.join(k as u32, other);
         }
     }
     let mut bounds = vec![(Vec2::INFINITY, Vec2::NEG_INFINITY); n];
     for (k, [a, b]) in sheet.blocked.iter().enumerate() {
-        let (low, high) = &mut bounds[root(&mut parent, k as u32) as usize];
+        let (low, high) = &mut bounds[sets.lead(k as u32) as usize];
         (*low, *high) = (low.min(*a).min(*b), high.max(*a).max(*b));
     }
     (0..n as u32)
         .map(|k| {
-            let (low, high) = bounds[root(&mut parent, k) as usize];
+            let (low, high) = bounds[sets.lead(k) as usize];
             (high - low).length() > size_m
         })
         .collect()
@@ -353,6 +355,13 @@ fn lies_beside(ring: &[Vec2], [a, b]: [Vec2; 2], side: f32, reach: f32) -> bool 
         ring = clip(&ring, normal, offset);
     }
     area(&ring) > 1e-3 * reach * reach.min(length)
+}
+
+/// Lowest and highest coordinates of some points.
+pub(crate) fn bounds(points: &[Vec2]) -> (Vec2, Vec2) {
+    let low = points.iter().copied().fold(Vec2::INFINITY, Vec2::min);
+    let high = points.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max);
+    (low, high)
 }
 
 /// The part of a convex polygon with `normal . p >= offset`.
@@ -466,8 +475,8 @@ fn lay_along(pieces: &Pieces, members: Vec<u32>, texel_m: f32, axes: [Vec3; 2]) 
 
 /// Points of a fine grid that lie inside a triangle.
 fn samples(ring: &[Vec2], step: f32) -> Vec<(i32, i32)> {
-    let low = ring.iter().copied().fold(Vec2::INFINITY, Vec2::min) / step;
-    let high = ring.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max) / step;
+    let (low, high) = bounds(ring);
+    let (low, high) = (low / step, high / step);
     let mut out = Vec::new();
     for j in low.y.floor() as i32..=high.y.ceil() as i32 {
         for i in low.x.floor() as i32..=high.x.ceil() as i32 {

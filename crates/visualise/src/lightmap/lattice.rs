@@ -11,7 +11,7 @@
 //! On curved surfaces the normal is that of the smooth surface, and the place is lifted onto it
 //! [Hanika21], or facets would shade each other.
 
-use super::charts::{Group, Sheet};
+use super::charts::{Group, Sheet, bounds, clip};
 use super::pieces::{HardEdge, NONE, Pieces};
 use luxel_core::{Vec2, Vec3};
 use luxel_gather::Receiver;
@@ -61,7 +61,7 @@ impl Cover {
     ) -> Cover {
         let mut piece = vec![NONE; (size[0] * size[1]) as usize];
         for &k in list {
-            let ring = ring(pieces, sheet, k);
+            let ring = sheet.ring(pieces, k);
             let ([i0, j0], [i1, j1]) = points_within(sheet, &ring);
             for j in j0.max(first[1])..(j1 + 1).min(first[1] + size[1]) {
                 for i in i0.max(first[0])..(i1 + 1).min(first[0] + size[0]) {
@@ -98,7 +98,7 @@ pub(crate) fn texels(
     let rings: Vec<Vec<Vec2>> = group
         .pieces
         .iter()
-        .map(|&k| ring(pieces, sheet, k))
+        .map(|&k| sheet.ring(pieces, k))
         .collect();
     // Lattice points of the cells that it reaches into.
     let (mut low, mut high) = ([u32::MAX; 2], [0u32; 2]);
@@ -222,7 +222,7 @@ fn keep_off(
                 continue;
             }
             let moved = p + inward * (inset - off);
-            let ring = ring(pieces, sheet, owner[t]);
+            let ring = sheet.ring(pieces, owner[t]);
             place[t] = if is_inside(&ring, moved, 0.0) {
                 moved
             } else {
@@ -233,18 +233,6 @@ fn keep_off(
             };
         }
     }
-}
-
-/// Corners of a piece on its sheet.
-fn ring(pieces: &Pieces, sheet: &Sheet, piece: u32) -> Vec<Vec2> {
-    let corners = pieces.corners(piece as usize);
-    corners.iter().map(|c| sheet.project(*c)).collect()
-}
-
-fn bounds(ring: &[Vec2]) -> (Vec2, Vec2) {
-    let low = ring.iter().copied().fold(Vec2::INFINITY, Vec2::min);
-    let high = ring.iter().copied().fold(Vec2::NEG_INFINITY, Vec2::max);
-    (low, high)
 }
 
 /// Lattice points in the bounds of a ring, first and last.
@@ -303,8 +291,8 @@ fn for_cells(sheet: &Sheet, ring: &[Vec2], mut each: impl FnMut(u32, u32)) {
         let mut strip = ring.to_vec();
         if sheet.size[1] > 1 {
             let y = sheet.step[1];
-            strip = super::charts::clip(&strip, Vec2::Y, j as f32 * y);
-            strip = super::charts::clip(&strip, Vec2::NEG_Y, -((j + 1) as f32) * y);
+            strip = clip(&strip, Vec2::Y, j as f32 * y);
+            strip = clip(&strip, Vec2::NEG_Y, -((j + 1) as f32) * y);
         }
         if strip.is_empty() {
             continue;

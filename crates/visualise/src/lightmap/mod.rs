@@ -292,17 +292,16 @@ impl Charts {
 }
 
 /// A lightmap that lies over a mesh.
-#[derive(Clone, Copy)]
-pub struct Texels<'a> {
+pub struct Texels {
     /// Its layout.
-    pub charts: &'a Charts,
+    pub charts: Charts,
     /// Its light.
-    pub lightmap: &'a Lightmap,
+    pub lightmap: Lightmap,
     /// Chart of each vertex of the mesh, as [`Charts::lay_over`] answered.
-    pub of_vertex: &'a [u32],
+    pub of_vertex: Vec<u32>,
 }
 
-impl Texels<'_> {
+impl Texels {
     /// Whether the triangles around a vertex have texels.
     pub fn has(&self, vertex: usize) -> bool {
         self.of_vertex
@@ -313,7 +312,7 @@ impl Texels<'_> {
     /// Illuminance at a point of the chart of a vertex, lux.
     pub fn at(&self, vertex: usize, point: Vec3) -> Rgb {
         self.lightmap
-            .at(self.charts, self.of_vertex[vertex], point)
+            .at(&self.charts, self.of_vertex[vertex], point)
             .0
     }
 }

@@ -6,6 +6,8 @@
 //! edge, so that points on both sides of it do not see each other, the joint is blocked: light may
 //! jump there, and no texel may lie on both sides.
 
+use crate::places::welded;
+use crate::sets::Sets;
 use luxel_core::{Front, Scene, Shape, Side, SurfaceId, Vec3};
 use luxel_transport::{Ray, RayCaster};
 use std::collections::HashMap;
@@ -26,6 +28,9 @@ const HEIGHT: f32 = 0.1;
 
 /// No piece.
 pub(crate) const NONE: u32 = u32::MAX;
+
+/// Welded ends of an edge of a source triangle, and the piece that it borders.
+type Edge = ([u32; 2], u32);
 
 /// A shared edge.
 #[derive(Clone, Copy, Debug)]
@@ -112,11 +117,12 @@ impl Pieces {
                 }
             }
         }
-        p.join(scene, front);
+        let edges = p.edges(scene, front);
+        p.join(scene, &edges);
         if let Some(caster) = caster {
             p.look_across(caster, texel_m);
         }
-        p.find_hard_edges(scene, front);
+        p.find_hard_edges(scene, &edges);
         p.smooth_normals();
         p
     }
@@ -171,15 +177,8 @@ impl Pieces {
     }
 
     /// Edges of all source triangles by place, with the piece and side that they border.
-    fn edges(&self, scene: &Scene, front: &Front) -> Vec<([u32; 2], u32)> {
-        // Positions by value: an unwelded edge is shared all the same.
-        let mut same: HashMap<[u32; 3], u32> = HashMap::new();
-        let place: Vec<u32> = (scene.positions.iter().zip(0..))
-            .map(|(p, i)| {
-                let key = (*p + Vec3::ZERO).to_array().map(f32::to_bits);
-                *same.entry(key).or_insert(i)
-            })
-            .collect();
+    fn edges(&self, scene: &Scene, front: &Front) -> Vec<Edge> {
+        let place = welded(scene);
         let mut edges = Vec::with_capacity(3 * scene.triangles.len());
         for (t, corners) in scene.triangles.iter().enumerate() {
             for side in [Side::Front, Side::Back] {
@@ -196,8 +195,7 @@ impl Pieces {
         edges
     }
 
-    fn join(&mut self, scene: &Scene, front: &Front) {
-        let edges = self.edges(scene, front);
+    fn join(&mut self, scene: &Scene, edges: &[Edge]) {
         let mut joints = Vec::new();
         for around in edges.chunk_by(|a, b| a.0 == b.0) {
             let ends = around[0].0.map(|v| scene.positions[v as usize]);
@@ -270,12 +268,11 @@ impl Pieces {
         }
     }
 
-    fn find_hard_edges(&mut self, scene: &Scene, front: &Front) {
+    fn find_hard_edges(&mut self, scene: &Scene, edges: &[Edge]) {
         let open: std::collections::HashSet<(u32, [u32; 6])> = (self.joints.iter())
             .filter(|j| !j.blocked)
             .flat_map(|j| j.pieces.map(|p| (p, bits(j.ends))))
             .collect();
-        let edges = self.edges(scene, front);
         let mut hard = Vec::new();
         for run in edges.chunk_by(|a, b| a == b) {
             let (edge, piece) = run[0];
@@ -294,7 +291,7 @@ impl Pieces {
             .flat_map(|k| std::iter::repeat_n(self.normal[k], self.corners(k).len()))
             .collect();
         // Corners that joined pieces have at one place are one vertex.
-        let mut parent: Vec<u32> = (0..self.corners.len() as u32).collect();
+        let mut sets = Sets::new(self.corners.len());
         for joint in self
             .joints
             .iter()
@@ -306,21 +303,20 @@ impl Pieces {
                     run.clone().find(|&c| self.corners[c] == end)
                 });
                 if let (Some(a), Some(b)) = (a, b) {
-                    let (a, b) = (root(&mut parent, a as u32), root(&mut parent, b as u32));
-                    parent[a.max(b) as usize] = a.min(b);
+                    sets.join(a as u32, b as u32);
                 }
             }
         }
         let mut sums = vec![Vec3::ZERO; self.corners.len()];
         for piece in (0..self.len()).filter(|&p| !self.flat[p]) {
             for c in self.run(piece) {
-                let lead = root(&mut parent, c as u32) as usize;
+                let lead = sets.lead(c as u32) as usize;
                 sums[lead] += self.normal[piece] * self.area[piece];
             }
         }
         for piece in (0..self.len()).filter(|&p| !self.flat[p]) {
             for c in self.run(piece) {
-                let lead = root(&mut parent, c as u32) as usize;
+                let lead = sets.lead(c as u32) as usize;
                 self.corner_normals[c] = sums[lead].normalize_or(self.normal[piece]);
             }
         }
@@ -332,13 +328,4 @@ fn bits(ends: [Vec3; 2]) -> [u32; 6] {
     let [a, b] = ends.map(|p| (p + Vec3::ZERO).to_array().map(f32::to_bits));
     let [a, b] = if a <= b { [a, b] } else { [b, a] };
     [a[0], a[1], a[2], b[0], b[1], b[2]]
-}
-
-/// Leader of a set; the path to it is halved on the way.
-pub(crate) fn root(parent: &mut [u32], mut k: u32) -> u32 {
-    while parent[k as usize] != k {
-        parent[k as usize] = parent[parent[k as usize] as usize];
-        k = parent[k as usize];
-    }
-    k
 }

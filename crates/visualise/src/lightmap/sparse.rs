@@ -134,7 +134,8 @@ impl<'a> Sparse<'a> {
     }
 
     /// Takes the light of the first of the wanted texels, lux, and its standard errors, and makes the
-    /// next round. What is left over of this round stays interpolated.
+    /// next round. What is left over of a round stays interpolated from the ones before; the first has
+    /// none before it and is to be taken whole.
     pub fn take(&mut self, light: impl Iterator<Item = (Rgb, f32)>) {
         let wanted = std::mem::take(&mut self.wanted);
         let mut taken = 0;
@@ -163,11 +164,7 @@ impl<'a> Sparse<'a> {
     }
 
     /// Light of all texels; those that no chart uses are black.
-    pub fn finish(mut self) -> super::Lightmap {
-        // Cells that were left open have corners from the round before.
-        for cell in std::mem::take(&mut self.open) {
-            self.fill_from_known(&cell);
-        }
+    pub fn finish(self) -> super::Lightmap {
         super::Lightmap {
             values: self.values,
             errors: self.errors,
@@ -277,34 +274,5 @@ impl<'a> Sparse<'a> {
             }
         }
         agrees
-    }
-
-    /// Single cells whose corners were not reached keep what was interpolated; where there was
-    /// nothing yet, the mean of the known texels of the chart.
-    fn fill_from_known(&mut self, cell: &Cell) {
-        let chart = &self.charts.charts[cell.chart as usize];
-        let all = || (0..chart.size[1]).flat_map(|y| (0..chart.size[0]).map(move |x| (x, y)));
-        let bare =
-            |s: &Self, t: usize| !s.known[t] && s.errors[t] == 0.0 && s.values[t] == Rgb::BLACK;
-        let known: Vec<usize> = all()
-            .map(|(x, y)| chart.texel(x, y))
-            .filter(|&t| self.known[t])
-            .collect();
-        if known.is_empty() {
-            return;
-        }
-        let share = 1.0 / known.len() as f32;
-        let mean = known
-            .iter()
-            .fold(Rgb::BLACK, |sum, &t| sum + self.values[t] * share);
-        for y in cell.low[1]..=cell.high[1] {
-            for x in cell.low[0]..=cell.high[0] {
-                let t = chart.texel(x, y);
-                if self.charts.kind[t] != Kind::Unused && bare(self, t) {
-                    self.values[t] = mean;
-                    self.errors[t] = mean.luminance();
-                }
-            }
-        }
     }
 }

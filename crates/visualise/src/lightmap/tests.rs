@@ -1,6 +1,5 @@
 use super::*;
 use crate::testing;
-use luxel_mesh::MeshSettings;
 use luxel_scenes::Builder;
 
 fn settings(texel_m: f32) -> ChartSettings {
@@ -107,13 +106,7 @@ fn parted_floor(door: bool) -> Scene {
             p(0.0, 2.0, z0),
         ]);
     }
-    let settings = luxel_mesh::PrepareSettings::for_mesh(&MeshSettings {
-        max_area_m2: 0.01,
-        min_edge_m: 1e-3,
-        max_elements: 100_000,
-        max_per_region: usize::MAX,
-        cluster: false,
-    });
+    let settings = luxel_mesh::PrepareSettings::for_mesh(&testing::mesh_settings(0.01, false));
     luxel_mesh::prepare(b.build(), &settings, &mut luxel_core::Warnings::default())
 }
 
@@ -249,11 +242,7 @@ fn the_same_charts_for_any_thread_count() {
     let scene = parted_floor(true);
     let front = testing::front(&scene, 0.05, true);
     let build = |n| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(n)
-            .build()
-            .expect("threads");
-        pool.install(|| {
+        testing::on_threads(n, || {
             let caster = testing::caster(&scene);
             let c = Charts::build(&scene, &front, Some(&caster), &settings(0.05));
             (c.receivers.clone(), c.pages.clone(), c.chart_of.clone())
